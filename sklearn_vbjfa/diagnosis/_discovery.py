@@ -108,7 +108,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     declared_, baseline_ : RobotIdentifier
         Declared model without and with the friction terms, fitted to the search data.
     torque_lag_ : float
-        Common delay of all torque channels [s], found first and removed; 0 if none.
+        Common delay of all torque channels [s], part of the models; 0 if none.
     joint_names_ : tuple of str
         Joints in the order of the columns of X and y.
     report_ : Report
@@ -311,9 +311,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if fault is not None:
             raise fault
         silent = [j for f in channels if f.kind in NO_INFORMATION for j in f.joints]
-        self.torque_lag_ = 0.0
+        late, std, self.torque_lag_ = (), np.nan, 0.0
         if lag := common_lag(channels):
             refit = clone(self.identifier).fit_inspected(whole, lag, compare=False)
+            late, std = refit.effects_[-1:], refit.theta_std_[-1:]
             self.torque_lag_ = refit.torque_lag_
             whole = with_torques_shifted(whole, self.torque_lag_)
         say("declared model")
@@ -368,7 +369,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.identifier_ = final.identifier.extended_by(supported_terms(final, torques))
         say("explaining")
         channels = (*channels, *unusable)
-        return make_outcome(self, result, final, judged, channels, whole)
+        results = make_outcome(self, result, final, judged, channels, whole)
+        for name in ("declared_", "baseline_", "validation_model_", "identifier_"):
+            setattr(self, name, getattr(self, name).extended_by(late, std))
+        return results
 
     def _search(self, part, silent, keywords, library):
         """Search the robot, or each branch of a robot with many joints."""

@@ -22,7 +22,7 @@ from sklearn_vbjfa.effects._base import (
     OfRobot,
     OnAllJoints,
 )
-from sklearn_vbjfa.effects._channels import model_torque
+from sklearn_vbjfa.effects._channels import Delay, model_torque
 
 # Columns smaller than this share of the largest of the effect are rounding errors.
 _ROUNDING = 1e-9
@@ -419,6 +419,7 @@ class TorqueLag(_ClockCorrection):
     coefficients = ("lag",)
     record = "faster motion"
     sign = -1.0
+    corrected = Delay.corrected
 
     def __init__(self, joint=0, lag=0.0):
         super().__init__(joint)

@@ -25,7 +25,6 @@ from sklearn_vbjfa.inspection import finding
 from sklearn_vbjfa.model import DoubtWarning, is_prismatic, joint_names
 from sklearn_vbjfa.recording import (
     Drive,
-    bridged,
     check_clock,
     check_cutoff,
     check_dt,
@@ -117,12 +116,11 @@ class Plan:
     @property
     def lag(self):
         """Lag [s] of all recorded torques; None if it is not declared."""
-        lags = [e.lag for e in self.effects if isinstance(e, TorqueLag)]
-        return lags[0] if lags else None
+        return next((e.lag for e in self.effects if isinstance(e, TorqueLag)), None)
 
     def applied(self, recording):
         delayed = replace(recording, tau=recording.torques(self.delay))
-        return with_torques_shifted(delayed, self.lag) if self.lag else bridged(delayed)
+        return with_torques_shifted(delayed, self.lag)
 
     @property
     def timed(self):

@@ -75,7 +75,7 @@ class RecordingRegressorMixin(MultiOutputMixin, RegressorMixin):
         if getattr(self, "drive", None) is not None:
             recording = recording_of_arguments(self, X, y, groups, None, t, signals)
             _, signals = self.drive.split_signals(y, signals)
-            y = self.robot_.plan.applied(recording).tau
+            y = recording.torques(self.robot_.plan.delay)
         predicted = self.predict(X, groups=groups, t=t, signals=signals)
         if hasattr(self, "joint_names_"):
             y = torques_in_order(y, self.joint_names_)
@@ -420,12 +420,12 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             fit = fit.with_noise_facts(facts(fit.robot))
         return self._set_attributes(fit)
 
-    def extended_by(self, effects):
-        """Return a copy whose robot has further effects, with unit coefficients."""
+    def extended_by(self, effects, std=np.nan):
+        """Return a copy whose robot has further effects, see `IdentifiedRobot`."""
         if not effects:
             return self
         out = copy.copy(self)
-        out._robot = self.robot_.extended_by(effects)
+        out._robot = self.robot_.extended_by(effects, std)
         out.effects_ = out._robot.effects_
         return out
 

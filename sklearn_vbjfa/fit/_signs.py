@@ -49,7 +49,7 @@ def signed(robot, recording):
     """Replace torque magnitudes by their expectation given a fitted robot."""
     inputs = robot.prepare_recording(replace(recording, weight=None))
     rest = robot.plan.rest(robot.plan.state_estimator)
-    predicted = robot.torques(replace(inputs, rest=rest))
+    predicted = robot.readings(replace(inputs, rest=rest))
     tau = expected(recording.tau, predicted)
     return replace(recording, tau=tau, command=tau)
 

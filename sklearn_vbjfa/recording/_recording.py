@@ -321,6 +321,8 @@ def with_torques_shifted(recording, lag):
     """Return a recording with torques read at times later by a lag [s]."""
     # Torques between rows are interpolated, with the smaller of their two neighbours'
     # weights. Rows whose torques lie outside the recording have zero weight.
+    if not lag:
+        return bridged(recording)
     parts, old_weight = recording.segments, recording.weight
     tau = interpolate(bridged(recording).tau, parts, recording.clock, -lag)
     old_weight = np.ones(tau.shape) if old_weight is None else old_weight

@@ -16,6 +16,7 @@ from sklearn_vbjfa.effects import (
     OfTime,
     OnAllJoints,
     ToAnother,
+    TorqueLag,
 )
 from sklearn_vbjfa.equations._features import follower_parameters, following_joints
 from sklearn_vbjfa.model import DoubtWarning
@@ -67,11 +68,8 @@ def to_urdf(path, text, robot, min_eigenvalues, notes=(), turned_joints=None):
         for j in np.flatnonzero(account.total(name)):
             account.leave(name, j, f"URDF has no {reason}")
     for effect, coef in account.uses:
-        if not effect.files.urdf:
-            continue
-        if isinstance(effect, InModel):
-            coef = effect.values - effect.nominal
-        account.leave_effect(effect, coef, effect.files.urdf)
+        if effect.files.urdf:
+            account.leave_effect(effect, coef, effect.files.urdf)
     check_possible(robot.model, min_eigenvalues, "a URDF")
     write_urdf(
         text,
@@ -136,15 +134,16 @@ class _Account:
     def __init__(self, robot, added=None):
         # added (nv, 3): to `TERMS`, see `refitted`.
         self.robot, self.left = robot, []
-        self.uses = list(zip(robot.effects, robot.coefficients))
+        self.uses = [
+            (e, e.values - e.nominal if isinstance(e, InModel) else coef)
+            for e, coef in zip(robot.effects, robot.coefficients)
+        ]
         self._added = np.zeros((robot.n_joints, 3)) if added is None else added
 
-    def leave(self, name, joint, reason):
-        names = self.robot.joint_names
-        left_out = LeftOut(
-            name=name, joint=int(joint), joint_name=names[joint], reason=reason
-        )
-        self.left.append(left_out)
+    def leave(self, name, j, reason):
+        where = self.robot.joint_names[j]
+        item = LeftOut(name=name, joint=int(j), joint_name=where, reason=reason)
+        self.left.append(item)
 
     def leave_effect(self, effect, coef, reason):
         """List an effect as left out unless its coefficients are zero."""
@@ -153,7 +152,7 @@ class _Account:
         fitted = self._added[effect.joint].any()
         if fitted and without_place(effect, np.asarray(coef)).any():
             reason = f"{reason} (friction and armature of the file are fitted to it)"
-        self.leave(effect.name, effect.joint, reason)
+        self.left.append(LeftOut.of(effect, self.robot.joint_names, reason))
 
     def total(self, name):
         """Sum of a declared coefficient and the effects of the same law, (nv,)."""
@@ -201,8 +200,6 @@ def _mjcf_dynamics(account, servo=None):
         # Others are in the sums, the model, the gains, or are separate bodies.
         if not (effect.files.mjcf or effect.files.places):
             continue
-        if isinstance(effect, InModel):
-            coef = effect.values - effect.nominal
         if isinstance(effect, CommandDelay) and servo is not None:
             if effect.delay < 0:
                 why = "a file cannot say that commands act before they are given"
@@ -246,7 +243,7 @@ _CHANGED = 0.02
 # Range of a term of the file, over its identified value.
 _FACTORS = np.array([0.5, 2.0])
 # Effects that a motion without log does not have.
-_APART = (OfChannel, OfSignals, OfTime)
+_APART = (OfChannel, OfSignals, OfTime, TorqueLag)
 # A torque below this share of the joint's whole torque is rounding.
 _ROUNDING = 1e-9
 

@@ -41,6 +41,7 @@ from sklearn_vbjfa.recording._recording import (
     check_clock,
     check_dt,
     take_arrays,
+    with_torques_shifted,
 )
 from sklearn_vbjfa.robot import _model_file
 from sklearn_vbjfa.robot._channels import ChannelGains, note_of_gains, note_of_units
@@ -249,7 +250,8 @@ class IdentifiedRobot:
         Returns
         -------
         ndarray of shape (n_samples, nv)
-            Joint torques [N m] or forces [N], friction included.
+            Joint torques [N m] or forces [N], friction included, as the channels record
+            them: with their gains, delays and common lag.
 
         Raises
         ------
@@ -277,7 +279,7 @@ class IdentifiedRobot:
         X, signals = robot.checked(X, signals)
         inputs = robot.prepare(X, groups, t, signals=signals)
         robot.warn_outside(inputs, stacklevel=3)
-        return robot.torques(inputs)
+        return robot.readings(inputs)
 
     def residuals(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
         """Return the torque residuals, filtered and masked as in the fit.
@@ -783,9 +785,8 @@ class IdentifiedRobot:
     def prepare(self, X, groups=None, t=None, signals=None):
         """Make the `Inputs` of the rows of a recording."""
         clock = self.clock(t, X.shape[0])
-        return self.prepare_recording(
-            self.recording(X, None, groups, None, clock, signals)
-        )
+        recording = self.recording(X, None, groups, None, clock, signals)
+        return self.prepare_recording(recording)
 
     def prepare_recording(self, recording):
         """Make the `Inputs` of a recording."""
@@ -802,16 +803,19 @@ class IdentifiedRobot:
     def _on_clock(self, recording):
         if not self.plan.timed:
             return recording
-        clock = self.clock(recording.t, recording.n_samples)
-        if np.array_equal(clock, recording.t):
-            return recording
-        return replace(recording, t=clock)
+        return replace(recording, t=self.clock(recording.t, recording.n_samples))
 
     # -- predictions ----------------------------------------------------------------
 
     def torques(self, inputs):
         """Torques (n, nv) that are predicted for `Inputs`."""
         return np.concatenate([x.predict(self.theta_)[0] for x in self._rows(inputs)])
+
+    def readings(self, inputs):
+        """Torques (n, nv) that the channels record for `Inputs`, late by their lag."""
+        tau, lag = self.torques(inputs), -(self.plan.lag or 0.0)
+        recording = replace(inputs.recording, tau=tau, weight=None)
+        return with_torques_shifted(recording, lag).tau
 
     def _rows(self, inputs):
         recording = inputs.recording
@@ -887,10 +891,13 @@ class IdentifiedRobot:
         rigid, coefs = np.split(self.theta_, [self.features_.n_parameters_])
         return np.append(rigid, pick_load_free(self.effects_, coefs))
 
-    def extended_by(self, effects):
+    def extended_by(self, effects, std=np.nan):
         """Return the robot with further effects whose coefficients are one."""
-        # Nothing is fitted: the other parameters and the load do not change.
-        names = [name for effect in effects for name in effect.coefficients]
+        # Nothing is fitted: the other parameters and the load do not change. Effects in
+        # the model have their values, with deviations std (k,), nan if unknown.
+        values = [getattr(e, "values", np.ones(len(e.coefficients))) for e in effects]
+        values = np.concatenate(values)
+        known = np.broadcast_to(np.isfinite(std), values.shape)
         load = self.load_parameters
         if load is None and needs_load(effects):
             load = self.parameters_of_load()
@@ -900,19 +907,20 @@ class IdentifiedRobot:
             replace(of_joint[e.joint], name=e.name, depends=e.depends) for e in effects
         ]
 
-        def longer(values, value):
-            return None if values is None else np.append(values, len(names) * [value])
+        def longer(before, added):
+            added = np.broadcast_to(added, values.shape)
+            return None if before is None else np.append(before, added)
 
         C = self.covariance
         return replace(
             self,
             plan=replace(self.plan, effects=(*self.effects_, *effects)),
-            theta_=longer(self.theta_, 1.0),
-            theta_unconstrained_=longer(self.theta_unconstrained_, 1.0),
-            theta_std_=longer(self.theta_std_, np.nan),
-            covariance=None if C is None else np.pad(C, (0, len(names))),
-            identifiable_=longer(self.identifiable_, False),
-            known_=(*self.known_, *len(names) * ["no"]),
+            theta_=longer(self.theta_, values),
+            theta_unconstrained_=longer(self.theta_unconstrained_, values),
+            theta_std_=longer(self.theta_std_, std),
+            covariance=None if C is None else np.pad(C, (0, values.size)),
+            identifiable_=longer(self.identifiable_, known),
+            known_=(*self.known_, *np.where(known, "yes", "no").tolist()),
             load_parameters=None if load is None else np.append(load, np.zeros(plain)),
             effect_ranges_=(*self.effect_ranges_, *ranges),
         )

@@ -280,24 +280,14 @@ class Integrator:
 
     def _held(self):
         """Joints (nv,), bool, that stick until they break away."""
-        if not self._stops_often:
-            return self._stuck
         return self._stuck & (self._stops <= _MOST_STOPS)
 
     def _event_excess(self, v):
         """Distance of joints past events, relative to the tolerance, (nv,)."""
-        dynamics = self._dynamics
-        return self._steps.event_excess(
-            self._watched,
-            self._direction,
-            v,
-            self._zero_speed,
-            self._held(),
-            dynamics.solution.needed,
-            dynamics.solution.limit,
-            1 + _MARGIN,
-            _EVENT_TOLERANCE,
-        )
+        needed, limit = self._dynamics.solution.needed, self._dynamics.solution.limit
+        reversals = self._watched, self._direction, v, self._zero_speed
+        breakaways = self._held(), needed, limit, 1 + _MARGIN, _EVENT_TOLERANCE
+        return self._steps.event_excess(*reversals, *breakaways)
 
     def _first_event(self, before, after, joints):
         width, shares = after.time - before.time, []

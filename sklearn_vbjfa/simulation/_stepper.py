@@ -12,12 +12,14 @@ from sklearn_vbjfa.effects import (
     InModel,
     Motion,
     OfChannel,
+    OfRobot,
     OfSignals,
     OnAllJoints,
     Payload,
     Rest,
     State,
     Stateful,
+    TorqueLag,
 )
 from sklearn_vbjfa.model import TreeRegressor, describe, is_prismatic, joint_names
 
@@ -68,9 +70,9 @@ class TorqueModel:
         """Convert measured torques (n, nv) at times t (n,) to joint torques."""
         out = tau / self.gains
         for effect, coef in zip(self.effects, self.coefficients):
-            if isinstance(effect, OfChannel) and t.size > 1:
-                j = effect.joint
-                out[:, j] = effect.corrected(coef, out[:, j], t)
+            if isinstance(effect, (OfChannel, TorqueLag)) and t.size > 1:
+                for j in effect.acts_on(self.n_joints):
+                    out[:, j] = effect.corrected(coef, out[:, j], t)
         return out
 
 
@@ -80,8 +82,14 @@ class LeftOut:
 
     name: str  # of the effect, or of the declared friction
     joint: int  # from zero
-    joint_name: str
+    joint_name: str  # "all joints" of an effect of the whole robot
     reason: str  # why it is omitted, or what is missing
+
+    @classmethod
+    def of(cls, effect, names, reason):
+        j, whole = effect.joint, isinstance(effect, OfRobot)
+        where = "all joints" if whole else names[j]
+        return cls(name=effect.name, joint=j, joint_name=where, reason=reason)
 
     def __str__(self):
         return f"{self.name} on {self.joint_name}: {self.reason}"
@@ -89,21 +97,16 @@ class LeftOut:
 
 def why_left_out(effect):
     """Return why an effect cannot be computed state by state; empty if it can."""
-    if not isinstance(effect, Stateful):
-        return ""
-    if isinstance(effect, OfChannel):
+    if isinstance(effect, (OfChannel, TorqueLag)):
         return "it is a property of the torque channel"
-    if effect.law(Floats(None)) is None:
+    if isinstance(effect, Stateful) and effect.law(Floats(None)) is None:
         return "it depends on other states, and has no law"
     return ""
 
 
 def causal(model):
     """Remove effects that need other states; return these as `LeftOut`."""
-    reasons = [
-        "" if isinstance(effect, InModel) else why_left_out(effect)
-        for effect in model.effects
-    ]
+    reasons = list(map(why_left_out, model.effects))
     indices = [k for k, reason in enumerate(reasons) if not reason]
     load = model.load
     if load is not None:
@@ -116,12 +119,7 @@ def causal(model):
         load=load,
     )
     return reduced, tuple(
-        LeftOut(
-            name=effect.name,
-            joint=effect.joint,
-            joint_name=model.joint_names[effect.joint],
-            reason=reason,
-        )
+        LeftOut.of(effect, model.joint_names, reason)
         for effect, reason in zip(model.effects, reasons)
         if reason
     )
@@ -294,17 +292,12 @@ class _Term:
     def add(self, row, torque, total):
         """Add the effect to a torque, and to the torque of the load fit unless None."""
         columns = self._columns(row)
-        if self._everywhere:
-            columns = np.asarray(columns)
-            for j, value in enumerate((columns @ self._coefs).tolist()):
-                torque[j] += value
-            if total is not None:
-                for j, value in enumerate((columns @ self._load_coefs).tolist()):
-                    total[j] += value
-            return
-        torque[self._joint] += sum(map(_product, self._coefs, columns))
-        if total is not None:
-            total[self._joint] += sum(map(_product, self._load_coefs, columns))
+        for out, coefs in ((torque, self._coefs), (total, self._load_coefs)):
+            if out is not None and self._everywhere:
+                for j, value in enumerate((np.asarray(columns) @ coefs).tolist()):
+                    out[j] += value
+            elif out is not None:
+                out[self._joint] += sum(map(_product, coefs, columns))
 
 
 _product = float.__mul__

@@ -90,9 +90,8 @@ def split_of(loop, q, tau, groups):
     whole = take_arrays(
         q, tau, groups, None, None, dt=dt, joint_names=loop.joint_names_
     )
-    if loop.torque_lag_:
-        whole = with_torques_shifted(whole, loop.torque_lag_)
-    split = split_in_time(loop.identifier, whole, loop.test_size)
+    shifted = with_torques_shifted(whole, loop.torque_lag_)
+    split = split_in_time(loop.identifier, shifted, loop.test_size)
     effects = loop.validation_model_.effects_
     shaped = [e for e in effects if isinstance(e, Shaped)]
     instants = [t for e in shaped if isinstance(e, Sudden) for t, _ in e.changes]

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.interpolate import CubicSpline
 
-from sklearn_vbjfa import RobotIdentifier, load_identified
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, load_identified
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.inspection import inspect_recording
 
@@ -57,3 +57,22 @@ def test_lag_and_standard_error_are_estimated(recording, base, tmp_path):
     loaded = load_identified(tmp_path / "arm.json")
     assert_allclose(loaded.residuals(log.q, log.tau).rms(), rms, rtol=1e-9)
     assert_allclose(loaded.predict(log.q), robot.predict(log.q), rtol=1e-9)
+
+
+def test_predictions_and_simulations_are_those_of_late_channels(recording, base):
+    log = delayed(recording, 0.02)
+    robot = fitted(log)
+    scores = [base.score(recording.q, recording.tau), robot.score(log.q, log.tau)]
+    q, v, _ = np.split(base.state_estimator_.transform(recording.q)[400], 3)
+    tau = log.tau[400:480], recording.tau[400:480]
+    # The last torques are not yet recorded.
+    late, clean = (x.simulate(y, q, v)[:76, :6] for x, y in zip((robot, base), tau))
+    assert_allclose(late, clean, atol=0.02)
+    (left_out,) = robot.left_out_
+    assert (left_out.name, left_out.joint_name) == ("torque_lag", "all joints")
+    loop = EffectDiscovery(RobotIdentifier(log.urdf, dt=log.dt), effects=())
+    loop.fit(log.q, log.tau)
+    found = loop.identifier_
+    assert found.torque_lag_ == loop.torque_lag_ == pytest.approx(0.02, abs=5e-4)
+    assert_allclose([*scores, found.score(log.q, log.tau)], scores[0], atol=1e-4)
+    assert loop.declared_.residuals(log.q, log.tau).normalised_error().max() < 0.02

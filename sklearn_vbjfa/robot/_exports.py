@@ -386,8 +386,8 @@ def changed_motion(robot, model, other):
         try:
             changes.append(_simulated(other, tau[rows], q, v, t[rows]) - expected)
         except SimulationError:
-            changes.append(np.inf)
-    squares = np.mean([np.mean(np.square(x), axis=0) for x in changes], axis=0)
+            changes.append(np.full_like(expected, np.inf))
+    squares = np.mean(np.square(changes), axis=(0, 1))
     return np.where(moves, np.sqrt(squares) / np.where(moves, spread, 1.0), 0.0)
 
 

@@ -106,6 +106,13 @@ def test_changed_motion_matches_simulations(robot):
     np.testing.assert_allclose(change, expected, rtol=1e-9)
 
 
+def test_a_file_that_diverges_changes_without_limit(robot):
+    other = robot.torque_model()
+    runaway = replace(other, friction=np.where(np.arange(6) == 2, -1e3, 0.0)[:, None])
+    runaway = replace(runaway, friction_names=("viscous",))
+    assert np.isinf(changed_motion(robot, other, runaway)).all()
+
+
 @pytest.mark.filterwarnings("error")
 def test_supported_terms_are_not_refitted(robot, tmp_path):
     plain = with_sizes(robot, 0.0, 0.0)

@@ -106,6 +106,14 @@ def test_tilt_of_a_fixed_floating_base(tmp_path):
     assert_allclose(robot.effects_[0].values, [-lean, 0.0], atol=np.deg2rad(0.2))
 
 
+def test_a_large_zero_is_no_turned_axis_of_the_next_joint():
+    arm = record("ZYZY", seed=2, duration=20.0, noise=0.005)
+    faulty = with_faults([JointZero(2, 0.12)], arm)
+    loop = faulty.discover(faulty.torque(), list(LIBRARY), robot=arm.robot())
+    assert named(loop) == [("joint_zero", 2)]
+    assert loop.effects_[0].parameters["zero"] == pytest.approx(0.12, abs=1e-3)
+
+
 def test_no_corrections_without_faults():
     loop = discover([])
     assert named(loop) == []

@@ -37,6 +37,8 @@ _ODDS_SHARE = 0.2
 ENTRY_SHARE = 0.5
 # Log odds within which effects count as equivalent [nats].
 _TIE = 0.5
+# Geometric effects with this share of the largest log odds may be equivalent to it.
+_SIMILAR = 0.9
 
 
 class Path:
@@ -178,18 +180,32 @@ class Path:
         # Much less probable candidates may only compensate for the first one.
         best = [c for c in best if c.order > _ODDS_SHARE * first.order]
         if isinstance(first.effect, InModel):
-            # Take the first in precedence of equivalent geometric effects.
-            equivalent = [
-                c
-                for c in self.candidates.probable()
-                if isinstance(c.effect, InModel) and c.order > first.order - _TIE
-            ]
-            return [min(equivalent, key=lambda c: (c.effect.precedence, -c.order))]
+            return [self._simplest_geometry(fit, first)]
         if isinstance(first.effect, OnAllJoints):
             return [first]
         # Effects on all joints are added one at a time.
         single = [c for c in best if not isinstance(c.effect, (InModel, OnAllJoints))]
         return single[: int(min(most - len(fit.members), len(single)))]
+
+    def _simplest_geometry(self, fit, first):
+        """Return the first in precedence of equivalent geometric effects."""
+        similar = [
+            c
+            for c in self.candidates.probable()
+            if isinstance(c.effect, InModel) and c.order > _SIMILAR * first.order
+        ]
+        similar.sort(key=lambda c: (c.effect.precedence, -c.order))
+        if len(similar) == 1:
+            return first
+        # Large corrections differ in the second order: compare their exact models.
+        evidence = []
+        for candidate in similar:
+            new = fit.with_member(self._member(fit, candidate))
+            for _ in range(_ROUNDS):
+                new = self.scaled(relinearise(new))
+            evidence.append(new.log_evidence())
+        pairs = zip(similar, evidence)
+        return next(c for c, x in pairs if x > max(evidence) - _TIE)
 
     def _with_candidates(self, fit, candidates):
         """Add candidates to a fit and drop members that become improbable."""

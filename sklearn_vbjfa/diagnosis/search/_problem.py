@@ -37,18 +37,15 @@ class Columns:
 
     # effects (c,): the effect with each shape; joints: those it acts on; values (nj, n,
     # c, k): cosines, sorted by band; unit (c, k): see `Groups`, zero for columns of
-    # zeros; edges: see `Problem`; load: motion with the load that they depend on.
+    # zeros; shape: (c, k); edges: see `Problem`; load: motion with the load that they
+    # depend on.
 
     def __init__(self, effects, joints, values, unit, edges, load=None):
         self.effects, self.joints, self.load = tuple(effects), tuple(joints), load
         self.values, self.unit, self.edges = values, unit, edges
+        self.shape = unit.shape
         # cached (argument, products) of `declared` and `rhs`
         self._declared = self._rhs = None, None
-
-    @property
-    def shape(self):
-        """Numbers of shapes and of columns per shape, (c, k)."""
-        return self.unit.shape
 
     @functools.cached_property
     def gram(self):
@@ -125,6 +122,7 @@ class Problem:
     def __init__(self, view, cosines=None):
         self.view = view
         self.cosines = Cosines(view) if cosines is None else cosines
+        self.edges = self.cosines.edges
         joints = range(view.nv)
         self.Z, self.y = self.cosines(view.Z, joints), self.cosines(view.target, joints)
         rows = np.maximum(view.rows, _TINY)
@@ -136,11 +134,6 @@ class Problem:
         self.held = np.zeros(view.one_sided.shape[:2], dtype=bool)
         # Cached: most joints of consecutive fits have the same members.
         self.joint_columns = functools.lru_cache(_joint_columns)
-
-    @property
-    def edges(self):
-        """Bounds of the bands among the cosines, (n_bands + 1,)."""
-        return self.cosines.edges
 
     @functools.cached_property
     def gram(self):
@@ -327,16 +320,19 @@ class Fit:
     """Model of all joints' torques with effects as members, under given weights."""
 
     # base: declared columns under these weights; theta (r,): their posterior mean;
-    # slices: coefficients of each member; prior (p,): prior precision of these. B
-    # (r, p), H (p, p), q (p,): see `ReducedMoments`, of the members' columns; `reduced`
-    # if they are known from another fit.
+    # slices: coefficients of each member; prior (p,): prior precision of these; applied
+    # (p,): the part of them that the robot model already contains. B (r, p), H (p, p),
+    # q (p,): see `ReducedMoments`, of the members' columns; `reduced` if they are known
+    # from another fit.
 
     def __init__(self, base, members=(), reduced=None):
-        self.base, self.members = base, tuple(members)
+        self.base, self.problem, self.members = base, base.problem, tuple(members)
         edges = np.cumsum([0, *(m.width for m in self.members)])
         self.slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
         deviation = [np.where(m.unit > 0, m.scale * m.unit, 1.0) for m in self.members]
         self.prior = np.concatenate([np.zeros(0), *deviation]) ** -2.0
+        applied = (m.applied for m in self.members)
+        self.applied = np.concatenate([np.zeros(0), *applied])
         self._B, self._H, self._q = self._moments() if reduced is None else reduced
         rhs = self._q - self.prior * self.applied
         S = self._H + np.diag(self.prior)
@@ -368,11 +364,6 @@ class Fit:
         return terms
 
     @property
-    def problem(self):
-        """Equations."""
-        return self.base.problem
-
-    @property
     def explained(self):
         """Reduction of the penalised squared error by the members [nats]."""
         return 0.5 * float(self._t @ self._t)
@@ -398,11 +389,6 @@ class Fit:
         for j, (at, X, _) in self._joint_terms.items():
             out[j] += X @ coef[at]
         return out
-
-    @property
-    def applied(self):
-        """Part of the coefficients that the robot model already contains, (p,)."""
-        return np.concatenate([np.zeros(0), *(m.applied for m in self.members)])
 
     def powers(self):
         """Compute residual powers and degrees of freedom, two arrays (nv, n_bands)."""

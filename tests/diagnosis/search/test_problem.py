@@ -36,7 +36,7 @@ class Synthetic(Problem):
     """Random equations; each cosine is one band."""
 
     def __init__(self, Z, y, heard):
-        bands = np.arange(N + 1)
+        self.edges = bands = np.arange(N + 1)
         self.Z, self.y, self.used_joints = Z, y, heard
         self.view = SimpleNamespace(one_sided=np.zeros((NV, 1, R)))
         self.held, self.joint_columns = np.zeros((NV, 1), dtype=bool), _joint_columns

@@ -180,8 +180,11 @@ def torque_lag(reading):
     if changes.size < 2 or (changes < 0).mean() <= 0.5 or changes.max() >= most_harm:
         return None
     # Only a lag is corrected; a filter must be more probable by far.
-    lowpass_gain = _lowpass(robot_before, samples) if samples > 0 else -np.inf
-    lowpass = lowpass_gain > gain + number.DECISIVE
+    # The inverse of a first-order filter adds its time constant times the derivative.
+    tau, slope = robot_before.signals.tau, samples * robot_before.signals.slope
+    fits = [robot_before.fit(tau=tau + x * slope) for x in number.CONSTANTS]
+    lowpass_gain = max(fit.evidence for fit in fits) - robot_before.baseline.evidence
+    lowpass = samples > 0 and lowpass_gain > gain + number.DECISIVE
     seconds = samples * reading.dt
     facts = {"size": 1e3 * abs(seconds), "late": "late" if seconds > 0 else "early"}
     facts |= {"error": 1e3 * number.INTERVAL * error * reading.dt}
@@ -226,14 +229,6 @@ def _drift(reading, robot, steady):
     options = {"kind": "delay:drift", "severity": "warning", "facts": facts}
     odds = drifting.evidence - robot.fit(tau=reading.signals.tau).evidence
     return Proposal(joints=reading.every, log_odds=odds, value=share, **options)
-
-
-def _lowpass(robot, samples):
-    """Return the log odds of the best low-pass of all torques."""
-    # The inverse of a first-order filter adds its time constant times the derivative.
-    torques, slope = robot.signals.tau, robot.signals.slope
-    unfiltered = [torques + part * samples * slope for part in number.CONSTANTS]
-    return max(robot.fit(tau=y).evidence for y in unfiltered) - robot.baseline.evidence
 
 
 def external_force(reading):

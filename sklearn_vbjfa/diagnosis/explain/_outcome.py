@@ -27,8 +27,9 @@ from sklearn_vbjfa.robot._channels import HALF_WIDTH
 from sklearn_vbjfa.robot._corrections import corrections_of
 from sklearn_vbjfa.robot._posterior import body_indices
 
-# Position or velocity limits above this count as unlimited.
-_UNLIMITED = 1e3
+# Position or velocity limits that count as unlimited, and error of torques
+# that follow the description.
+_UNLIMITED, _WELL = 1e3, 0.2
 # Attributes of curves that are readings of torque channels.
 _READINGS = {"measured", "before", "after", "predicted", "residual"}
 
@@ -127,11 +128,16 @@ def make_outcome(loop, search, final, judged, channels, whole):
     timed = any(isinstance(effect, OfTime) for effect in identifier.effects_)
     data = columns["floor"], scatter, left_out, alone, motion, timed
     expectation = ExpectedError(after, *data)
-    # If all torques are explained up to noise, the description fits the robot.
-    explained = (low <= ABOVE_FLOOR[0] * columns["floor"])[columns["enough"]]
-    if explained.size and explained.all():
-        channels = tuple(c for c in channels if c.kind != "other_robot")
-    names, errors = identifier.joint_names_, np.where(columns["enough"], after, np.nan)
+    # Missing effects may look like mixed torques or another robot.
+    noise, enough = low <= ABOVE_FLOOR[0] * columns["floor"], columns["enough"]
+    well = (noise | (after < _WELL) | ~enough) & enough.any()
+    explained = {"mixed_torques": noise & enough, "other_robot": well}
+    channels = tuple(
+        c
+        for c in channels
+        if c.kind not in explained or not explained[c.kind][list(c.joints)].all()
+    )
+    names, errors = identifier.joint_names_, np.where(enough, after, np.nan)
     differing = contradictions(parts, spread, loop.alpha)
     joints = {x.joint for x in differing}
     effects = tuple(discovered_effects(search, final, names, prismatic, joints))

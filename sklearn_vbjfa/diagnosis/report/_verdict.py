@@ -41,7 +41,9 @@ class JointVerdict:
     joint: int  # from zero
     label: str
     status: str
-    detail: str = ""  # "near" floor, "large", within "chance", worse than "declared"
+    # "near" the floor, "far" from it but not significantly, "large", within "chance",
+    # worse than "declared"
+    detail: str = ""
     text: str = ""  # the same in words
 
 
@@ -126,7 +128,7 @@ def _joint_status(outcome, j):
     if after > upper and least > lower:
         return {"status": "above", "detail": "large" * (after > _LARGE)}
     if after > (lower if least > floor else upper):
-        return {"status": "floor", "detail": "near"}
+        return {"status": "floor", "detail": "far" if after > upper else "near"}
     high = joint.intervals["added"][1]
     chance = j in _joints_with(outcome, "effects") and 0 <= high < np.inf
     return {"status": "floor", "detail": "chance" if chance else ""}
@@ -210,6 +212,8 @@ def _uses(outcome, status, joints):
             qualified = {"large": large, "rose": rose, "one way": one_way}
             if name == "simulation":
                 qualified["left out"] = hidden
+            elif name == "collision detection":
+                qualified["far"] = [x.joint for x in joints if x.detail == "far"]
             causes |= {code: x for code, x in qualified.items() if x}
             if name == "simulation" and outcome.provenance.get("export"):
                 causes["approximate"] = []

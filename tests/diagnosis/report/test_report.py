@@ -83,7 +83,10 @@ def test_insignificant_differences_keep_the_status():
     # An interval that includes the noise floor is not significant.
     unsure = {"after": np.array([0.8 * FLOOR, 3.0 * FLOOR])}
     double = {"before": 3 * FLOOR, "after": 2 * FLOOR}
-    assert Report(make_outcome(**double, intervals=unsure)).status == "complete"
+    report = Report(make_outcome(**double, intervals=unsure))
+    assert report.status == "complete"
+    assert "above it, not significantly" in report.headline
+    assert "not significantly" in report.uses[2].reason
     # A refit changes all errors slightly, and paired blocks make that significant.
     before = make_outcome(n_effects=1).column("before")
     sure = {"difference": np.array([0.005, 0.015])[:, None] * before}

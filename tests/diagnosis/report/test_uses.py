@@ -85,7 +85,7 @@ def test_an_insignificant_increase_is_noted_with_the_uses():
     report = Report(replace(outcome, errors=errors))
     assert report.joints[1].status != "worse"
     assert report.uses[0].allowed
-    text = "collision detection (joint 2: held-out error rose, within chance)."
+    text = "collision detection (joint 2: held-out error rose, within chance; joint 2:"
     assert text in line_of(report)
     provenance = outcome.provenance | {"export": ("identified.xml moves",)}
     report = Report(replace(outcome, errors=errors, provenance=provenance))

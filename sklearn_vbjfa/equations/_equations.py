@@ -522,8 +522,6 @@ def edge_rows(n, state_estimator, max_share=0.05):
     if state_estimator is None:
         return 0
     slowest = state_estimator.cutoff_.min()
-    if not np.isfinite(slowest):
-        return 0
     return min(int(_EDGE_PERIODS / (slowest * state_estimator.dt)), int(max_share * n))
 
 
@@ -577,9 +575,8 @@ def assign_blocks(recording, plan):
     sizes = [part.stop - part.start for part in recording.segments]
     centres = [plan.lowpass.centres(n) for n in sizes]
     lengths, clock = [x.size for x in centres], recording.clock
-    if clock is None or not sum(lengths):
-        return BlockAssignment.of(lengths)
-    repetition = find_repetition(recording.q, clock, recording.segments)
+    known = clock is not None and sum(lengths)
+    repetition = known and find_repetition(recording.q, clock, recording.segments)
     if not repetition:
         return BlockAssignment.of(lengths)
     number = np.repeat(np.arange(len(lengths)), lengths)

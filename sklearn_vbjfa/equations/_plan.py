@@ -436,20 +436,17 @@ def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
     # A drive with position feedback turns the full band of the positions into torque;
     # the smoothed states contain it only in their passband.
     if not isinstance(cutoff, str):
-        if cutoff is None:
-            return np.inf
-        return check_cutoff(cutoff, check_dt(dt))
+        return np.inf if cutoff is None else check_cutoff(cutoff, check_dt(dt))
     if cutoff != "auto":
         raise ValueError(
             f"cutoff must be 'auto', a frequency in Hz, or None; got {cutoff!r}."
         )
     if state_estimator is None:
         return np.inf
-    length = longest * dt
     frequency = cutoff_of(state_estimator.bandwidth_.max(), dt)
     if drive is not None and drive.uses_positions:
         frequency = min(frequency, _PASSBAND_SHARE * state_estimator.cutoff_.min())
-    frequency = max(frequency, SHORTEST_CUTOFF_PERIODS / length)
+    frequency = max(frequency, SHORTEST_CUTOFF_PERIODS / (longest * dt))
     return float(frequency) if frequency < 0.4 / dt else np.inf
 
 

@@ -479,9 +479,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         if estimator is not None:
             check_speed(self.dt, facts.fast(), self.features_.model_)
         ranges = np.stack([facts.lowest, facts.highest])
-        torques = [np.asarray(recording.tau[part]) for part in parts]
-        limits = [(x.min(axis=0), x.max(axis=0)) for x in torques]
-        check_channels(self.joint_names_, ranges, np.concatenate(limits))
+        check_channels(self.joint_names_, ranges, recording.tau)
         lengths = [rows.stop - rows.start for rows in parts]
         plan = make_plan(self, self.effects_, lengths, estimator, facts)
         # Rejects time stamps that the effects cannot use.

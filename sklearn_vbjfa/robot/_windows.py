@@ -113,9 +113,8 @@ class SimulatedWindows:
     def scales(self):
         """Factors (nv,) that convert errors for display, and their units."""
         # Millimetres for prismatic joints, else degrees, or mrad for position commands.
-        factor, unit = (180 / np.pi, "degrees")
-        if self.commanded is not None:
-            factor, unit = 1e3, "mrad"
+        by_torque = self.commanded is None
+        factor, unit = (180 / np.pi, "degrees") if by_torque else (1e3, "mrad")
         units = tuple("mm" if slides else unit for slides in self.prismatic)
         return np.where(self.prismatic, 1e3, factor), units
 
@@ -136,9 +135,8 @@ def clearly_smaller(errors, others):
         return np.zeros(difference.shape[1:], dtype=bool)
     mean = difference.mean(axis=0)
     about = difference - mean
-    variance = (about**2).sum(axis=0) / (n - 1)
-    neighbours = (about[1:] * about[:-1]).sum(axis=0) / (n - 1)
-    variance = variance + 2.0 * np.maximum(neighbours, 0.0)
+    neighbours = np.maximum((about[1:] * about[:-1]).sum(axis=0), 0.0)
+    variance = ((about**2).sum(axis=0) + 2.0 * neighbours) / (n - 1)
     return mean < special.stdtrit(n - 1, _CLEARLY) * np.sqrt(variance / n)
 
 

@@ -35,19 +35,15 @@ class ForwardDynamics:
         self._signals = signals
         self.terms = terms = TermTable(robot)
         self.n_joints = robot.n_joints
-        bodies_by_time = [(-np.inf, robot.bodies)]
-        for instant, joint, change in terms.payloads:
-            bodies = bodies_by_time[-1][1].copy()
-            bodies[joint] += change
-            bodies_by_time.append((instant, bodies))
         self._tree = concatenate_trees([describe(robot.model), *terms.trees])
-        self._timed_bodies = []
-        for instant, bodies in bodies_by_time:
+        bodies, self._timed_bodies = robot.bodies.copy(), []
+        for instant, joint, change in [(-np.inf, 0, 0.0), *terms.payloads]:
+            bodies[joint] += change
             # Rejects bodies without mass.
             with_bodies(robot.model, bodies)
             self._timed_bodies.append((instant, np.vstack([bodies, *terms.following])))
         # Times [s] at which the bodies change.
-        self.instants = tuple(instant for instant, _ in bodies_by_time[1:])
+        self.instants = tuple(instant for instant, _ in self._timed_bodies[1:])
         self._load_bodies = np.zeros_like(self._timed_bodies[0][1])
         self._load_bodies[: self.n_joints] = (robot.load or robot).bodies
         self.set_bodies(-np.inf)

@@ -135,9 +135,8 @@ def error_intervals(held_out, searched, spread, step):
             return special.stdtrit(freedom, 0.95) * np.sqrt(variance)
 
         ends = np.array([[-1.0], [1.0]])
+        change = ends * half_width(after * logs[1] - before * logs[0])
         return {
             "after": after * np.exp(ends * half_width(logs[1])),
-            "difference": after
-            - before
-            + ends * half_width(after * logs[1] - before * logs[0]),
+            "difference": after - before + change,
         }

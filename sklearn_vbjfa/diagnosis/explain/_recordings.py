@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from sklearn_vbjfa._core._linear_systems import or_one, scaled_eigen
-from sklearn_vbjfa.effects import Coulomb, Offset, Viscous
+from sklearn_vbjfa.effects import Coulomb, JointZero, Offset, Viscous
 from sklearn_vbjfa.model import end_joints
 
 # Parts of a recording, between which the variation of a single robot is estimated.
@@ -35,12 +35,13 @@ class Contradiction:
     # recording: of a fit to its other parts, and of a fit to all other data
     alone: float
     together: float
-    # "offset", "gain" (of the torque), "friction", "payload"; else "model"
+    # "offset", "gain" (of the torque), "friction", "zero", "payload"; else "model"
     cause: str
-    # difference of the offset [N m or N], ratio of the torques of a gain, or mass of a
-    # payload [kg]; else nan
+    # difference of the offset [N m or N] or the encoder zero [rad or m], ratio of the
+    # torques of a gain, or mass of a payload [kg]; else nan
     value: float
     p_value: float  # of the F test, times the number of tests
+    of: int | None = None  # joint of the encoder zero
 
 
 class RecordingMoments:
@@ -59,6 +60,7 @@ class RecordingMoments:
     def __init__(self, fit):
         self.view, self.features = fit.view, fit.identifier.features_
         self.nv, self.used = self.view.nv, self.view.precision > 0
+        self._theta = fit.identifier.theta_
         names, self.origin = np.unique(self.view.origin, return_inverse=True)
         self.count = names.size
         Phi, tau = fit.columns(), self.view.equations.tau
@@ -93,9 +95,18 @@ class RecordingMoments:
             self._prior[0][:rigid, :rigid] = metric
             self._prior[1][:rigid] = metric @ centre
 
-    def moments_of(self, j, part):
+    @functools.cached_property
+    def with_zeros(self):
+        """Moments of recordings by joint; columns of encoder zeros precede torques."""
+        motion, zeros = self.view.motion_of(self._theta), map(JointZero, range(self.nv))
+        zeros = np.dstack([self.view.in_equations(e, motion) for e in zeros])
+        pairs = enumerate(zip(self._designs, zeros.transpose(1, 0, 2)))
+        wider = {j: np.insert(x, [-1] * self.nv, z, axis=1) for j, (x, z) in pairs}
+        return [self.moments_of(j, self.origin, x) for j, x in wider.items()]
+
+    def moments_of(self, j, part, rows=None):
         """Compute moments of the design of a joint, for each part (n_parts, k, k)."""
-        rows = self._designs[j]
+        rows = self._designs[j] if rows is None else rows
         weighted = rows * self.view.equations.weight[:, [j]]
         masks = (part == p for p in range(part.max() + 1))
         return np.array([weighted[m].T @ rows[m] for m in masks])
@@ -198,9 +209,8 @@ def contradictions(parts, spread, alpha):
     if not errors:
         return ()
     # Of two recordings, either may be the one that deviates.
-    suspects = range(parts.count)
-    if parts.count > 2:
-        suspects = sorted({r for r, _ in errors})
+    some = parts.count > 2
+    suspects = sorted({r for r, _ in errors}) if some else range(parts.count)
     joints = sorted({j for _, j in errors})
     remaining = list(range(parts.count))
     while suspects := [r for r in suspects if r in remaining]:
@@ -251,12 +261,12 @@ class _Deviations:
         cross, h = np.zeros((self._theta.size, edges[-1])), np.zeros(edges[-1])
         H = np.zeros((edges[-1], edges[-1]))
         for (j, A), at in zip(added.items(), places):
-            columns = self._parts.columns[j]
-            moments = self._noise[j] * self._parts.moments[j][self._rows].sum(axis=0)
-            GA = moments[:-1, :-1] @ A
+            columns, n = self._parts.columns[j], len(A)
+            moments = self._noise[j] * self._parts.with_zeros[j][self._recording]
+            GA = moments[:, :n] @ A
             cross[columns, at] += GA[: columns.size]
-            h[at] += A.T @ moments[:-1, -1]
-            H[at, at] += A.T @ GA
+            h[at] += A.T @ moments[:n, -1]
+            H[at, at] += A.T @ GA[:n]
         # Schur complement: theta is eliminated.
         solution = self._eigen.solve(cross)
         H, h = H - cross.T @ solution, h - cross.T @ self._theta
@@ -302,33 +312,38 @@ class _Deviations:
         tested = {j: x for j, x in tested.items() if x[1] < alpha}
         unit = max((unit for *_, unit in tested.values()), default=1.0)
         cause, values = self._cause(tested, unit)
+        of, cause = (cause, "zero") if isinstance(cause, int) else (None, cause)
         for j, (_, p_value, _) in tested.items():
             r, value = self._recording, values.get(j, np.nan)
-            about = {"alone": np.nan, "together": np.nan, "p_value": p_value}
+            about = {"alone": np.nan, "together": np.nan, "p_value": p_value, "of": of}
             about |= errors.get((r, j), {})
             yield Contradiction(recording=r, joint=j, cause=cause, value=value, **about)
 
     def _cause(self, joints, unit):
-        """Choose the cause of highest evidence (Schwarz); return values by joints."""
+        """Choose the cause of highest evidence (Schwarz), with values by joints."""
         parts, trials = self._parts, []
         for name, chosen in _CAUSES.items():
             trials.append((name, {j: self._columns[j][:, chosen] for j in joints}))
-        # A payload on the last body of a branch acts on several joints.
+        # A shifted encoder zero (by its joint), and a payload on the last body of a
+        # branch act on several joints.
+        for k in range(parts.nv):
+            zero = [np.eye(x.size + 4 + k, 1, -x.size - 3 - k) for x in parts.columns]
+            trials.append((k, dict(enumerate(zero))))
         for body in end_joints(parts.features.model_):
             indices = parts.features.n_parameters_ // parts.nv * body + np.arange(10)
             load = [np.equal.outer(np.r_[x, [-1] * 3], indices) for x in parts.columns]
             trials.append(("payload", dict(enumerate(map(np.float64, load)))))
         best, choice = -np.inf, None
         for name, columns in trials:
-            shared = name == "payload"
+            shared = name not in _CAUSES
             gain, _, coefs = self._fitted(columns, shared)
-            count = 10 if shared else sum(A.shape[1] for A in columns.values())
+            count = coefs[0].size if shared else sum(map(np.size, coefs.values()))
             score = 0.5 * (gain / unit - count * np.log(parts.n_blocks))
             if (score := score - _MARGIN * (name == "model")) <= best:
                 continue
             # The mass of a payload on the joint axis exerts no torque.
-            no_m = {j: A[:, 1:] for j, A in columns.items()} if shared else {}
-            unknown = shared and gain - self._fitted(no_m, True)[0] < 2 * _MARGIN * unit
+            no_m = {j: A[:, 1:] for j, A in columns.items() if name == "payload"}
+            unknown = no_m and gain - self._fitted(no_m, True)[0] < 2 * _MARGIN * unit
             if unknown or name in ("friction", "model"):
                 coefs = {}
             values = {j: float(x[0]) + (name == "gain") for j, x in coefs.items()}

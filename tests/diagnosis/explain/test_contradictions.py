@@ -6,7 +6,7 @@ from sklearn_vbjfa.diagnosis.explain import FinalFit, RecordingMoments, contradi
 from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.recording import take_arrays
 from tests.diagnosis._recordings import TWO_MOTIONS, record
-from tests.effects._arms import last_body_regressor
+from tests.effects._arms import inverse_dynamics, last_body_regressor
 
 SPREAD = np.ones(2)
 PAIR = TWO_MOTIONS.parts
@@ -98,6 +98,15 @@ BALL = np.array([0.6, 0.05, 0.02, 0.12, 0.02, 0.0, 0.02, 0.0, 0.0, 0.02])
 def test_a_payload_in_one_recording_is_found():
     found = compare(FOUR, second_only(lambda torque, r: torque + torque_of(r, BALL)))[1]
     assert {(x.recording, x.cause) for x in found} == {(1, "payload")}
+
+
+@pytest.mark.parametrize("zero", [0.06, -0.04])
+def test_a_shifted_encoder_zero_in_one_recording_is_found(zero):
+    states = np.hstack([FOUR[1].q - [0.0, zero], FOUR[1].v, FOUR[1].a])
+    change = inverse_dynamics(FOUR[1].model, states) - FOUR[1].load
+    found = compare(FOUR, second_only(lambda torque, r: torque + change))[1]
+    assert {(x.recording, x.cause, x.of) for x in found} == {(1, "zero", 1)}
+    assert [x.value for x in found] == pytest.approx(len(found) * [zero], rel=0.05)
 
 
 def discovered(torques, names, effects):

@@ -128,6 +128,7 @@ def test_next_steps(changes, text):
         ("offset", -0.5, "An offset of -0.5 N m on joint 2"),
         ("gain", 1.2, "A torque of joint 2 that is 1.2 times as large"),
         ("friction", np.nan, "Different friction of joint 2"),
+        ("zero", 0.05, "The encoder zero of joint 2 shifted by 0.05 rad"),
         ("payload", 1.3, "A load of 1.3 kg on the last link"),
         ("payload", -0.8, "0.8 kg less on the last link"),
         ("model", np.nan, "friction or a load on the last link"),
@@ -135,7 +136,7 @@ def test_next_steps(changes, text):
 )
 def test_contradictions_are_reported(cause, value, phrase):
     errors = {"alone": 0.011, "together": 0.072, "p_value": 1e-5}
-    one = Contradiction(recording=0, joint=1, cause=cause, value=value, **errors)
+    one = Contradiction(recording=0, joint=1, cause=cause, value=value, of=1, **errors)
     names = ("slow", "fast", "last")
     report = Report(make_outcome(nv=3, contradictions=(one,), recordings=names))
     assert "Recording slow contradicts the others" in report.headline

@@ -1,4 +1,4 @@
-"""Logs of one simulated arm, each with one thing wrong with it."""
+"""Logs of one simulated arm, each with one fault."""
 
 import pickle
 import re
@@ -27,12 +27,12 @@ class Arm:
         return self.t[1] - self.t[0]
 
 
-def heads(nv, names=None):
+def column_names(nv, names=None):
     names = names or range(1, nv + 1)
     return ["t", *(f"q{k}" for k in names), *(f"tau{k}" for k in names)]
 
 
-def text(header, *columns, sep=","):
+def csv_text(header, *columns, sep=","):
     rows = np.column_stack(columns)
     lines = [sep.join(header), *(sep.join(f"{x:.8g}" for x in row) for row in rows)]
     return "\n".join(lines) + "\n"
@@ -41,13 +41,13 @@ def text(header, *columns, sep=","):
 # Each returns the changed columns; joints are counted from one.
 
 
-def torque(arm, factor, joint=None):
+def scaled_torque(arm, factor, joint=None):
     factors = np.ones(arm.nv)
     factors[slice(None) if joint is None else joint - 1] = factor
     return {"tau": arm.tau * factors}
 
 
-def exchanged(arm, channel, joints):
+def swapped(arm, channel, joints):
     values = getattr(arm, channel).copy()
     one, other = (j - 1 for j in joints)
     values[:, [one, other]] = values[:, [other, one]]
@@ -63,8 +63,8 @@ def jittery(arm):
     return {"t": np.cumsum(steps)}
 
 
-def stopped(arm, joint):
-    """Stop an encoder at the end of its range; the stop has a torque."""
+def end_stop(arm, joint):
+    """Stop a joint at the end of its range; the end stop exerts a torque."""
     k, q, tau = joint - 1, arm.q.copy(), arm.tau.copy()
     end = np.quantile(q[:, k], 0.85)
     beyond = np.maximum(q[:, k] - end, 0)
@@ -82,9 +82,9 @@ def disconnected(arm, joint, noise):
 def filtered(arm, hertz):
     from scipy.signal import lfilter
 
-    keep = np.exp(-2 * np.pi * hertz * arm.dt)
-    start = keep * arm.tau[:1]
-    return {"tau": lfilter([1 - keep], [1, -keep], arm.tau, axis=0, zi=start)[0]}
+    decay = np.exp(-2 * np.pi * hertz * arm.dt)
+    start = decay * arm.tau[:1]
+    return {"tau": lfilter([1 - decay], [1, -decay], arm.tau, axis=0, zi=start)[0]}
 
 
 def warming(arm, joint):
@@ -93,50 +93,50 @@ def warming(arm, joint):
     return {"tau": tau}
 
 
-# Each writes a file and returns its path, or the path and that of the robot.
+# Each writes a file and returns its path, or the paths of the log and of the robot.
 
 
 def renamed(arm, header):
-    header = header or heads(arm.nv)
-    return write(arm, "log.csv", text(header, arm.t, arm.q, arm.tau))
+    header = header or column_names(arm.nv)
+    return write(arm, "log.csv", csv_text(header, arm.t, arm.q, arm.tau))
 
 
 def gripper(arm, names=None):
     open_ = 0.02 + 0.02 * np.sign(np.sin(arm.t))
     q = np.insert(arm.q, 3, open_, axis=1)
     tau = np.insert(arm.tau, 3, 0.3 * np.sign(open_ - 0.02), axis=1)
-    return write(arm, "log.csv", text(heads(7, names), arm.t, q, tau))
+    return write(arm, "log.csv", csv_text(column_names(7, names), arm.t, q, tau))
 
 
-def quaternion(arm, instead):
+def quaternion(arm, replace):
     half = arm.q[:, 0] / 2
-    four = [0 * half, 0 * half, np.sin(half), np.cos(half)]
-    names = heads(arm.nv)
-    if instead:
+    components = [0 * half, 0 * half, np.sin(half), np.cos(half)]
+    names = column_names(arm.nv)
+    if replace:
         header = ["t", "q_x", "q_y", "q_z", "q_w", *names[1 + arm.nv :]]
-        return write(arm, "log.csv", text(header, arm.t, *four, arm.tau))
+        return write(arm, "log.csv", csv_text(header, arm.t, *components, arm.tau))
     header = [*names, "qx", "qy", "qz", "qw"]
-    return write(arm, "log.csv", text(header, arm.t, arm.q, arm.tau, *four))
+    return write(arm, "log.csv", csv_text(header, arm.t, arm.q, arm.tau, *components))
 
 
 def times(arm, form):
     if form == "thousands":
-        written = [f'"{1000 * x:,.1f}"' for x in arm.t]
+        stamps = [f'"{1000 * x:,.1f}"' for x in arm.t]
     else:
-        since = arm.t + 86390
-        written = [
+        seconds = arm.t + 86390
+        stamps = [
             f"{int(x // 3600) % 24:02d}:{int(x // 60) % 60:02d}:{x % 60:07.4f}"
-            for x in since
+            for x in seconds
         ]
-    values = text(heads(arm.nv)[1:], arm.q, arm.tau).splitlines()
+    values = csv_text(column_names(arm.nv)[1:], arm.q, arm.tau).splitlines()
     return write(
-        arm, "log.csv", "\n".join(f"{a},{b}" for a, b in zip(["t", *written], values))
+        arm, "log.csv", "\n".join(f"{a},{b}" for a, b in zip(["t", *stamps], values))
     )
 
 
 def encoded(arm, encoding="utf-8", replace=(), before="", name="log.csv"):
     """Write the log in another encoding, with some characters replaced."""
-    content = text(heads(arm.nv), arm.t, arm.q, arm.tau)
+    content = csv_text(column_names(arm.nv), arm.t, arm.q, arm.tau)
     for old, new in replace:
         content = content.replace(old, new)
     return write(arm, name, (before + content).encode(encoding))
@@ -150,7 +150,7 @@ def pickled(arm):
     return write(arm, "frame.pkl", pickle.dumps({"q": arm.q, "tau": arm.tau}))
 
 
-def place(arm, path):
+def missing_file(arm, path):
     return path
 
 

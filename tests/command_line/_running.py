@@ -1,4 +1,4 @@
-"""How tests run a command, and write a recording for it."""
+"""Run a command, and write a recording for it."""
 
 import numpy as np
 
@@ -6,14 +6,14 @@ from sklearn_vbjfa._cli import main
 
 
 def run(capsys, *argv):
-    """Return the exit code and what was printed on stdout and stderr."""
+    """Return the exit code, stdout and stderr."""
     code = main([*map(str, argv)])
     captured = capsys.readouterr()
     return code, captured.out, captured.err
 
 
 def refused(command, capsys, *argv):
-    """Return the one line on stderr of a command that does nothing."""
+    """Return the only line on stderr of a refused command."""
     code, out, err = run(capsys, command, *argv)
     assert (code, out) == (2, "")
     (line,) = err.splitlines()
@@ -22,7 +22,7 @@ def refused(command, capsys, *argv):
 
 
 def write_csv(path, recording, *, q=None, tau=None, t=True, rows=slice(None)):
-    """Write columns t, q1, ..., tau1, ...; q and tau replace those recorded."""
+    """Write columns t, q1, ..., tau1, ...; q and tau replace the recorded ones."""
     q = recording.q if q is None else q
     tau = recording.tau if tau is None else tau
     names = [f"q{k + 1}" for k in range(q.shape[1])]

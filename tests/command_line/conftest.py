@@ -16,7 +16,7 @@ def urdf(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def recording(urdf):
-    """Two joints, 15 s; a spring on the shoulder is missing in the model."""
+    """Two joints, 15 s; a spring on the shoulder is missing from the model."""
     return make_robot_recording(
         str(urdf),
         duration=15.0,
@@ -28,6 +28,6 @@ def recording(urdf):
 
 @pytest.fixture
 def good(tmp_path, recording, monkeypatch):
-    """Path of a recording without fault, in the working folder."""
+    """Path of a valid recording, in the working folder."""
     monkeypatch.chdir(tmp_path)
     return write_csv(tmp_path / "arm.csv", recording)

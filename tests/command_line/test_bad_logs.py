@@ -1,4 +1,4 @@
-"""Bad and odd logs: exit codes and reasons; the commands that refusals print work."""
+"""Bad and odd logs: exit codes and reasons; suggested commands work."""
 
 import csv
 import json
@@ -19,11 +19,11 @@ CASES = [
     pytest.param(name, marks=[] if case.get("quick") else [pytest.mark.slow])
     for name, case in TABLE.items()
 ]
-OFFER = "this would work: python -m sklearn_vbjfa "
+SUGGESTION = "this would work: python -m sklearn_vbjfa "
 
 
-def arm_in(folder):
-    """Return twenty seconds of an arm with six joints, for files in a folder."""
+def make_arm(folder):
+    """Return 20 s of an arm with six joints, for files in a folder."""
     recording = load_demo_recording().select(0)
     urdf = Path(shutil.copy(recording.urdf, folder / "arm.urdf"))
     columns = (recording.clock, recording.q, recording.tau)
@@ -33,7 +33,7 @@ def arm_in(folder):
 @pytest.fixture
 def arm(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    return arm_in(tmp_path)
+    return make_arm(tmp_path)
 
 
 def identify(log, urdf, out):
@@ -41,22 +41,22 @@ def identify(log, urdf, out):
     return main(list(map(str, argv)))
 
 
-def identified(out):
-    """Return values and deviations of parameters that are identifiable alone."""
+def read_parameters(out):
+    """Return values and standard deviations of the identifiable parameters."""
     with Path(out, "parameters.csv").open(newline="", encoding="utf-8") as file:
         rows = [x for x in csv.DictReader(file) if x["identifiable"] == "yes"]
     return {x["parameter"]: (float(x["value"]), float(x["std"])) for x in rows}
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory):
-    arm = arm_in(tmp_path_factory.mktemp("sound"))
+def reference(tmp_path_factory):
+    arm = make_arm(tmp_path_factory.mktemp("sound"))
     out = arm.folder / "out"
-    assert identify(*made(arm, {}), out) == 0
-    return identified(out)
+    assert identify(*write_case(arm, {}), out) == 0
+    return read_parameters(out)
 
 
-def made(arm, case):
+def write_case(arm, case):
     """Write the files of a case; return the paths of the log and of the robot."""
     for name, options in case.get("values", {}).items():
         arm = replace(arm, **getattr(_bad_logs, name)(arm, **options))
@@ -66,9 +66,9 @@ def made(arm, case):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_bad_logs(name, arm, sound, capsys):
+def test_bad_logs(name, arm, reference, capsys):
     case = TABLE[name]
-    code = identify(*made(arm, case), "out")
+    code = identify(*write_case(arm, case), "out")
     out, err = capsys.readouterr()
     assert code == case["exit"], f"{err}\n{out}"
     message = err
@@ -77,14 +77,19 @@ def test_bad_logs(name, arm, sound, capsys):
         message += " ".join(x["message"] for x in report["channels"])
     assert case.get("words", "") in message
     if code == 0:
-        found = identified("out")
-        # What is just identifiable may not be so in both.
-        assert len(found.keys() & sound.keys()) > 0.9 * len(sound)
-        for key, (value, std) in sound.items():
+        found = read_parameters("out")
+        # A barely identifiable parameter may be missing from one of both.
+        assert len(found.keys() & reference.keys()) > 0.9 * len(reference)
+        for key, (value, std) in reference.items():
             if key in found and not key.startswith(case.get("changed", "none")):
                 off = abs(found[key][0] - value)
-                assert off < 3 * std + 0.05 * abs(value), (key, found[key], value, std)
-    _, offered, command = err.partition(OFFER)
-    if offered:
-        # The command does what it says.
+                assert off < 3 * std + 0.05 * abs(value), (
+                    key,
+                    found[key],
+                    value,
+                    std,
+                )
+    _, suggested, command = err.partition(SUGGESTION)
+    if suggested:
+        # The suggested command works.
         assert main(shlex.split(command)) in (0, 3), capsys.readouterr().err

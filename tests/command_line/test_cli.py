@@ -1,4 +1,4 @@
-"""Command line: the table, one line for an error, the same output each time."""
+"""Command line: demo, lists, one-line errors and reproducible output."""
 
 import contextlib
 import io
@@ -21,16 +21,16 @@ def run(argv):
 
 
 @pytest.fixture(scope="module")
-def closed():
+def demo():
     return run([])
 
 
-def test_without_arguments_the_loop_is_closed_on_the_demo(closed):
-    code, out, err = closed
+def test_the_demo_is_identified_without_arguments(demo):
+    code, out, err = demo
     assert code == 0
     assert err == ""  # no terminal, no progress
     lines = out.splitlines()
-    # A terminal shows it without scrolling.
+    # Fits on a terminal without scrolling.
     assert len(lines) <= 20
     assert max(map(len, lines)) <= 80
     assert lines[0] == (
@@ -38,27 +38,27 @@ def test_without_arguments_the_loop_is_closed_on_the_demo(closed):
     )
     assert lines[1].startswith("Load-dependent friction on joint 2 was missing")
     (found,) = [line for line in lines if line.startswith("- ")]
-    mu, spread = re.match(
+    mu, std = re.match(
         r"- joint 2: load-dependent friction, mu = (\S+) \+- (\S+);", found
     ).groups()
-    # As the docstring of load_demo_recording says.
-    assert abs(float(mu) - 0.11) < 2 * float(spread)
+    # True value: see load_demo_recording.
+    assert abs(float(mu) - 0.11) < 2 * float(std)
 
 
-def test_readme_shows_what_is_printed(closed):
+def test_readme_shows_the_printed_output(demo):
     readme = (Path(__file__).resolve().parents[2] / "README.md").read_text("utf-8")
     shown = re.search(r"^```text\n(.*?)^```", readme, flags=re.DOTALL | re.M)[1]
-    printed = closed[1]
+    printed = demo[1]
     # Other versions of the libraries may move a last digit, and with it a column.
     number = re.compile(r"\d+(\.\d+)?")
     words = [number.sub("#", " ".join(text.split())) for text in (shown, printed)]
     assert words[0] in words[1]
     pairs = zip(number.finditer(shown), number.finditer(printed[printed.index("\n") :]))
-    for ours, theirs in pairs:
-        assert float(ours[0]) == pytest.approx(float(theirs[0]), rel=0.1, abs=0.2)
+    for documented, found in pairs:
+        assert float(documented[0]) == pytest.approx(float(found[0]), rel=0.1, abs=0.2)
 
 
-def test_without_pinocchio_one_line_says_what_is_missing(monkeypatch):
+def test_missing_pinocchio_is_reported_in_one_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "pinocchio", None)
     code, out, err = run([])
     assert (code, out) == (2, "")
@@ -68,14 +68,14 @@ def test_without_pinocchio_one_line_says_what_is_missing(monkeypatch):
 
 
 @pytest.mark.parametrize("argv", [["--nope"], ["nope"], ["identify", "--urdf"]])
-def test_wrong_arguments_end_with_two(argv):
+def test_wrong_arguments_exit_with_code_2(argv):
     code, out, err = run(argv)
     assert (code, out) == (2, "")
     (line,) = err.splitlines()
     assert line.startswith("sklearn-vbjfa")
 
 
-def test_effects_are_listed():
+def test_datasets_and_effects_are_listed():
     code, out, _ = run(["datasets"])
     assert code == 0
     assert re.search(r"fetch_kuka_kr300 +two trajectories of a KUKA", out)
@@ -83,7 +83,7 @@ def test_effects_are_listed():
     assert (code, err) == (0, "")
     lines = out.splitlines()
     assert lines[0].split()[:2] == ["name", "effect"]
-    # descriptions go on in further lines, names do not
+    # descriptions may continue on further lines, names do not
     assert [x.split()[0] for x in lines[2:] if x[0] != " "] == list(effects.available())
 
 
@@ -95,5 +95,5 @@ def test_version(capsys):
 
 
 @pytest.mark.slow
-def test_the_demo_is_the_same_every_time(closed):
-    assert run([]) == closed
+def test_the_demo_is_reproducible(demo):
+    assert run([]) == demo

@@ -1,4 +1,4 @@
-"""The command identify: files from a recording, one line for what is wrong."""
+"""The command identify: output files and one-line errors."""
 
 import csv
 import functools
@@ -25,8 +25,8 @@ FILES += ["parameters.csv", "report.html", "report.json"]
 refusal = functools.partial(refused, "identify")
 
 
-def identified(path, nv=2):
-    """Load a URDF; the pseudo-inertias of its bodies."""
+def pseudo_inertias(path, nv=2):
+    """Return the pseudo-inertias of the bodies of a URDF."""
     model = pinocchio.buildModelFromUrdf(str(path))
     assert model.nv == nv
     return [body.toPseudoInertia().toMatrix() for body in list(model.inertias)[1:]]
@@ -58,43 +58,43 @@ def test_files_are_written(urdf, recording, tmp_path, monkeypatch, capsys):
     inside = {link[1:] for link in links if link.startswith("#")}
     assert inside <= set(re.findall(r'id="([^"]+)"', page))
     assert {link for link in links if link[0] != "#"} == set(FILES) - {"report.html"}
-    # each joint has its torque over time and its residual
+    # torque and residual over time of each joint
     assert page.count('<figure class="wide"') == 2 * 2
     assert report["provenance"]["file"] == str(source)
     assert report["provenance"]["rate"] == pytest.approx(200.0)
-    for matrix in identified(folder / "identified.urdf"):
+    for matrix in pseudo_inertias(folder / "identified.urdf"):
         assert np.linalg.eigvalsh(matrix).min() > 0
-    # The robot without its data, its spring included.
+    # The saved robot has the spring.
     saved = load_identified(folder / "identified.json")
     assert [(one.name, one.joint) for one in saved.effects_] == [("spring", 0)]
-    told = " ".join(captured.out.split())
-    assert "ranges for domain randomisation: ranges.json" in told
+    output = " ".join(captured.out.split())
+    assert "ranges for domain randomisation: ranges.json" in output
     ranges = json.loads((tmp_path / "ranges.json").read_text(encoding="utf-8"))
     values = {one["name"]: one for one in ranges["values"]}
     spring = values["shoulder:spring:k"]
     assert spring["lower"] < effect["parameters"]["k"] < spring["upper"]
-    # MuJoCo has springs, offsets and the inertia of rotors, URDF has none of them.
-    assert "not complete, see the first lines; identified.json is" in told
-    (left,) = report["provenance"]["warnings"]
-    assert re.match(r"identified.urdf has no place for .*spring on", left)
-    assert "identified.xml" not in left
+    # MJCF supports springs, offsets and rotor inertias; URDF does not.
+    assert "not complete, see the first lines; identified.json is" in output
+    (warning,) = report["provenance"]["warnings"]
+    assert re.match(r"identified.urdf has no place for .*spring on", warning)
+    assert "identified.xml" not in warning
     assert "identified.urdf has no place for" in page
     root = ElementTree.parse(folder / "identified.xml").getroot()
     joints = {x.get("name"): x for x in root.iter("joint") if x.get("name")}
     assert list(joints) == ["shoulder", "elbow"]
     found = effect["parameters"]["k"]
     assert float(joints["shoulder"].get("stiffness")) == pytest.approx(found)
-    # What was identified is a description to begin with.
+    # The written URDF loads without warnings.
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         load_model(folder / "identified.urdf")
 
 
-# Parameters that no description has.
-OWN = ("viscous", "coulomb", "offset", "rotor_inertia")
+# Parameters that a URDF does not have.
+ADDED_TERMS = ("viscous", "coulomb", "offset", "rotor_inertia")
 
 
-def test_parameters_are_a_table(good, urdf, capsys):
+def test_parameters_are_written_as_a_table(good, urdf, capsys):
     options = ["--effects", "none", "--friction", "none", "--out", "here/there"]
     assert main(["identify", "arm.csv", "--urdf", str(urdf), *options]) == 0
     assert "written: here/there/report.html" in capsys.readouterr().out
@@ -102,7 +102,7 @@ def test_parameters_are_a_table(good, urdf, capsys):
         rows = list(csv.DictReader(file))
     names = {row["parameter"] for row in rows}
     assert {"shoulder:m", "elbow:I_zz"} <= names
-    # All plain terms, whatever is declared.
+    # All standard terms, whether declared or not.
     assert {"shoulder:viscous", "elbow:coulomb", "elbow:rotor_inertia"} <= names
     for row in rows:
         assert np.isfinite(float(row["value"])), row
@@ -110,20 +110,20 @@ def test_parameters_are_a_table(good, urdf, capsys):
         # a spreadsheet would read inf and nan as text
         if row["std"]:
             assert 0 <= float(row["std"]) < np.inf, row
-    told = {row["parameter"]: row["identifiable"] for row in rows}
-    assert {"yes", "from the description"} <= set(told.values())
-    # No joint feels a weight on a vertical axis, or that of a single link.
-    assert told["shoulder:m"] == "from the description"
-    assert told["elbow:m"] in ("from the description", "in combination")
+    status = {row["parameter"]: row["identifiable"] for row in rows}
+    assert {"yes", "from the description"} <= set(status.values())
+    # The torques do not depend on the mass of the shoulder alone.
+    assert status["shoulder:m"] == "from the description"
+    assert status["elbow:m"] in ("from the description", "in combination")
     for row in rows:
         body = bool(row["description"])
-        assert not (body and row["parameter"].endswith(OWN)), row
+        assert not (body and row["parameter"].endswith(ADDED_TERMS)), row
     text = Path("here/there/identified.urdf").read_text()
     assert "Masses that are not individually identifiable: " in text
     assert all(row["std"] for row in rows if row["identifiable"] == "yes")
 
 
-def test_alike_joints_are_rows_of_the_parameters(tmp_path, monkeypatch):
+def test_shared_drives_are_rows_of_the_parameters(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     sides = "left", "right"
     both = {"parent": "base", "origin": 0, "centre": 0.2, "mass": 3}
@@ -142,8 +142,8 @@ def test_alike_joints_are_rows_of_the_parameters(tmp_path, monkeypatch):
     assert shared
     for row in shared:
         term = row["parameter"].partition(":")[2]
-        own = [float(rows[f"{side}_arm:{term}"]["value"]) for side in sides]
-        assert float(row["value"]) == pytest.approx(np.mean(own))
+        values = [float(rows[f"{side}_arm:{term}"]["value"]) for side in sides]
+        assert float(row["value"]) == pytest.approx(np.mean(values))
 
 
 def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, capsys):
@@ -155,7 +155,7 @@ def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, caps
     options += ["--known-mass", "lower=2", "--out", str(tmp_path / "out")]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        # The mass does not help.
+        # The known mass does not fix the gains.
         assert main(["identify", str(source), "--urdf", str(path), *options]) == 3
     text = " ".join(capsys.readouterr().out.split())
     assert "Gains are relative to joint" in text
@@ -199,11 +199,11 @@ def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, caps
         ),
     ],
 )
-def test_other_gains_and_masses_are_refused(good, urdf, options, message, capsys):
+def test_invalid_gains_and_masses_are_refused(good, urdf, options, message, capsys):
     assert message in refusal(capsys, good, "--urdf", urdf, *options)
 
 
-# A gripper, one finger of which follows the other, and a wheel.
+# A gripper with a mimic joint, and a wheel.
 HAND = """
 <link name="left"><inertial><mass value="0.2"/>
   <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -226,10 +226,10 @@ def with_hand(tmp_path):
     return path
 
 
-def test_more_joints_than_columns_are_named_with_the_option(good, with_hand, capsys):
+def test_joints_without_columns_are_named_with_the_option(good, with_hand, capsys):
     line = refusal(capsys, good, "--urdf", with_hand)
     assert "2 column(s) q for 4 joint(s)" in line
-    # grip_2 follows grip and has no column of its own
+    # grip_2 is a mimic joint and needs no column
     assert "grip_2" not in line
     for name in ("shoulder", "elbow", "grip", "drive"):
         assert name in line
@@ -246,24 +246,22 @@ def test_more_joints_than_columns_are_named_with_the_option(good, with_hand, cap
         ("shoulder,,elbow", "no movable joint ''"),
     ],
 )
-def test_joints_that_cannot_be(joints, message, good, with_hand, capsys):
+def test_invalid_joints_are_refused(joints, message, good, with_hand, capsys):
     line = refusal(capsys, good, "--urdf", with_hand, "--joints", joints)
     assert re.search(message, line), line
 
 
-def test_a_wrong_sign_offers_the_gains_that_turn_it(
-    urdf, recording, tmp_path, monkeypatch, capsys
-):
+def test_a_wrong_sign_suggests_gains(urdf, recording, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     source = write_csv("arm.csv", recording, tau=recording.tau * [0.5, -0.5])
     line = refusal(capsys, source, "--urdf", urdf)
     assert line.endswith(" --gain 1,-1")
-    # Factors that were given stay, and those of unknown gains have no sign.
+    # Given factors are kept; unknown gains have no sign.
     line = refusal(capsys, source, "--urdf", urdf, "--gain", "2,2")
     assert line.endswith(" --gain 2,-2")
     line = refusal(capsys, source, "--urdf", urdf, "--gain", "unknown")
     assert "this would work" not in line
-    # What is offered works, and so do factors of which the first is negative.
+    # The suggested option works, also with a negative first factor.
     whole = write_csv("whole.csv", recording, tau=-recording.tau)
     assert main(["inspect", whole, "--urdf", str(urdf), "--gain=-1,-1"]) == 0
 
@@ -278,14 +276,14 @@ def test_a_wrong_sign_offers_the_gains_that_turn_it(
             lambda text: text.replace('child link="lower"', 'child link="hand"'),
             r"child link \[hand\] of joint \[elbow\] not found",
         ),
-        # the parser reads on and gives the link no inertia
+        # the parser continues and gives the link no inertia
         (
             lambda text: text.replace('mass value="3"', 'mass value="heavy"'),
             r"mass \[heavy\] is not a float.*correct the description",
         ),
     ],
 )
-def test_faults_of_a_robot(change, message, good, tmp_path, capfd):
+def test_invalid_descriptions_are_refused(change, message, good, tmp_path, capfd):
     robot = tmp_path / "arm.urdf"
     robot.write_text(change(URDF))
     line = refusal(capfd, good, "--urdf", robot)
@@ -308,7 +306,7 @@ def test_faults_of_a_robot(change, message, good, tmp_path, capfd):
         ("--out arm.csv", "arm.csv is not a folder"),
     ],
 )
-def test_options_that_cannot_be(options, message, good, urdf, capsys):
+def test_invalid_options_are_refused(options, message, good, urdf, capsys):
     line = refusal(capsys, good, "--urdf", urdf, *options.split())
     assert re.search(message, line), line
     assert [path.name for path in good.parent.iterdir()] == ["arm.csv"]
@@ -319,7 +317,7 @@ FRICTION, SLOPE = 3.0, -0.06
 
 @pytest.fixture(scope="module")
 def warm(urdf, tmp_path_factory):
-    """Two joints, 15 s; Coulomb friction of the shoulder falls as it gets warmer."""
+    """Two joints, 15 s; Coulomb friction of the shoulder falls with temperature."""
     arm = make_robot_recording(str(urdf), duration=15.0, dt=0.01, random_state=0)
     temperature = 30 + 10 * np.sin(0.8 * arm.t)
     tau = arm.tau.copy()
@@ -346,7 +344,7 @@ def warm(urdf, tmp_path_factory):
     return path
 
 
-def closed(warm, urdf, out, *more):
+def identify(warm, urdf, out, *more):
     argv = ["identify", str(warm), "--urdf", str(urdf), "--out", str(out)]
     argv += ["--effects", "offset,signal,drift", *more]
     assert main(argv) == 0
@@ -355,7 +353,7 @@ def closed(warm, urdf, out, *more):
 
 def test_columns_of_a_file_are_candidates(warm, urdf, tmp_path, capsys):
     # Some columns cannot be used.
-    report = closed(warm, urdf, tmp_path / "out")
+    report = identify(warm, urdf, tmp_path / "out")
     (effect,) = report["effects"]
     assert effect["name"] == "signal"
     factor = {"temperature": 1, "gain": 2}[effect["parameters"]["signal"]]
@@ -363,8 +361,8 @@ def test_columns_of_a_file_are_candidates(warm, urdf, tmp_path, capsys):
     assert low < SLOPE / factor < high
     assert [x for x in effect["rivals"] if x in {"signal: gain", "signal: temperature"}]
     assert report["provenance"]["settings"]["signals"] == ["temperature", "gain"]
-    said = " ".join(capsys.readouterr().out.split())
-    assert said.count("are not used as signals.") == 1
+    output = " ".join(capsys.readouterr().out.split())
+    assert output.count("are not used as signals.") == 1
     (message,) = [x["message"] for x in report["channels"] if "signals" in x["message"]]
     for reason in ("'fixed' is constant", "'current' is the torque of"):
         assert reason in message

@@ -1,4 +1,4 @@
-"""The command design: a motion and its summary, one line for what is wrong."""
+"""The command design: motion, summary and one-line errors."""
 
 import contextlib
 import functools
@@ -19,18 +19,18 @@ from sklearn_vbjfa.datasets import make_robot_recording
 from tests.command_line._running import refused
 from tests.hostile._case import URDF
 
-# The robots of these tests have no collision geometry, which is a doubt.
+# The robots of these tests have no collision geometry, which gives a warning.
 UNCHECKED = 3
 # Few harmonics, so that a motion takes a second or two.
 QUICK = ("--duration", "4", "--acceleration", "3")
-# Fast enough to tell frictions apart.
+# Fast enough to distinguish friction effects.
 FAST = ("--duration", "4", "--acceleration", "20")
 JOINTS = ["shoulder", "elbow"]
 
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """Folder with a robot, and what identify leaves of it in ``report``."""
+    """Folder with a robot, and the output of identify in ``report``."""
     folder = tmp_path_factory.mktemp("robot")
     urdf = folder / "arm.urdf"
     urdf.write_text(URDF)
@@ -80,7 +80,7 @@ def designed(home):
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """Working folder with a robot alone."""
+    """Working folder with a robot only."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.urdf").write_text(URDF)
     return tmp_path
@@ -89,20 +89,20 @@ def here(tmp_path, monkeypatch):
 refusal = functools.partial(refused, "design")
 
 
-def test_the_file_is_a_motion_within_its_limits(designed):
+def test_the_motion_is_within_its_limits(designed):
     out, _, _ = designed
     found = pd.read_csv(out)
-    heads = ["t"] + [f"{kind}_{name}" for kind in "qva" for name in JOINTS]
-    assert list(found) == heads
+    header = ["t"] + [f"{kind}_{name}" for kind in "qva" for name in JOINTS]
+    assert list(found) == header
     t = found["t"].to_numpy()
-    # The period of the recordings so far.
+    # The sample period of the recordings.
     np.testing.assert_allclose(np.diff(t), 0.01)
     assert t.size == 400
     for name in JOINTS:
         q, v, a = (found[f"{kind}_{name}"] for kind in "qva")
         assert abs(v[0]) < 1e-9
         assert abs(a[0]) < 1e-9
-        # Differences are off by a sixth of dt^2 times the largest jerk.
+        # Error of central differences: a sixth of dt^2 times the largest jerk.
         jerk = np.abs(np.gradient(a, t)).max()
         np.testing.assert_allclose(
             np.gradient(q, t)[1:-1], v[1:-1], rtol=0, atol=0.01**2 / 5 * jerk
@@ -113,27 +113,27 @@ def test_the_file_is_a_motion_within_its_limits(designed):
         assert np.abs(a).max() <= 0.98 * 20
 
 
-def test_the_summary_names_what_is_decided_and_what_no_motion_shows(designed):
-    told = " ".join(designed[1].split())
+def test_the_summary_lists_identifiable_and_unidentifiable_effects(designed):
+    text = " ".join(designed[1].split())
     assert re.search(
         r"exceed these torques - joint 1 \(shoulder\), from [\d.]+ N m: Stribeck "
         "friction or friction with the square of speed Not identifiable by any "
         r"motion: .*shifted encoder zero \(joint 1 \(shoulder\)\) "
         r"\(absorbed by .*\)",
-        told,
+        text,
     )
-    # Shares of the acceleration that is allowed, with the margin of the design.
+    # Shares of the acceleration limit, with the margin of the design.
     largest = np.abs(pd.read_csv(designed[0])["a_shoulder"]).max() / 20
-    share = float(re.search(r"joint 1 \(shoulder\) +\d+ % +\d+ % +(\d+) %", told)[1])
+    share = float(re.search(r"joint 1 \(shoulder\) +\d+ % +\d+ % +(\d+) %", text)[1])
     assert share == pytest.approx(100 * largest, abs=1.0)
 
 
-def test_the_command_after_it_works(home, here, capsys):
-    """The log of the report had columns and gains of its own."""
+def test_the_suggested_command_works(home, here, capsys):
+    """Columns and gains of the log in the report are kept."""
     folder = shutil.copytree(home / "report", here / "report")
     content = json.loads((folder / "report.json").read_text())
-    own = {"columns": "q=x{i}", "dt": "0.01", "gain": "2,2", "friction": "viscous"}
-    content["provenance"] |= {"options": own}
+    options = {"columns": "q=x{i}", "dt": "0.01", "gain": "2,2", "friction": "viscous"}
+    content["provenance"] |= {"options": options}
     (folder / "report.json").write_text(json.dumps(content))
     assert main(["design", "--report", str(folder), *FAST]) == UNCHECKED
     text = capsys.readouterr().out
@@ -148,7 +148,7 @@ def test_the_command_after_it_works(home, here, capsys):
     assert main([*command, "--no-search"]) in (0, 3)
 
 
-def test_a_motion_that_exists_is_not_replaced(designed, capsys):
+def test_an_existing_motion_is_not_replaced(designed, capsys):
     out, _, argv = designed
     before = out.read_bytes()
     line = refusal(capsys, *argv)
@@ -159,14 +159,12 @@ def test_a_motion_that_exists_is_not_replaced(designed, capsys):
     out.write_bytes(before)
 
 
-# Bars about the links of the arm: those of one joint apart need not be looked at.
+# Boxes around the links of the arm; adjacent links are not checked.
 GEOMETRY = """<collision><origin xyz="0.1 0 0"/><geometry><box size="0.2 0.02 0.02"/>
 </geometry></collision></link>"""
 
 
-def test_the_first_step_is_what_was_not_checked_and_none_where_it_was(
-    designed, here, capsys
-):
+def test_unchecked_self_collision_is_the_first_step(designed, here, capsys):
     _, text, _ = designed
     steps = text.partition("Next:")[2].split("\n")
     assert steps[1].startswith("  0. BEFORE IT RUNS: the robot may hit itself")
@@ -180,7 +178,7 @@ def test_the_first_step_is_what_was_not_checked_and_none_where_it_was(
     assert "SELF-COLLISION" not in captured.out
 
 
-def test_a_robot_is_needed(here, capsys):
+def test_a_robot_is_required(here, capsys):
     line = refusal(capsys)
     assert "--urdf FILE" in line
     assert "--report FOLDER" in line
@@ -192,13 +190,13 @@ def test_a_robot_is_needed(here, capsys):
     assert "identified.json" in refusal(capsys, "--report", "empty")
 
 
-def test_the_robot_is_that_of_the_report(home, here, capsys):
+def test_options_stored_in_the_report_are_refused(home, here, capsys):
     for option in ("--urdf", "--joints"):
         line = refusal(capsys, "--report", home / "report", option, "elbow")
         assert f"{option} is taken from the report; leave it out" in line
 
 
-def test_a_limit_that_a_robot_lacks_is_asked_for(here, capsys):
+def test_a_missing_limit_is_requested(here, capsys):
     Path("arm.urdf").write_text(URDF.replace('effort="100"', 'effort="0"'))
     line = refusal(capsys, "--urdf", "arm.urdf", *QUICK[:2])
     assert "no torque limit of shoulder, elbow. Give" in line
@@ -206,7 +204,7 @@ def test_a_limit_that_a_robot_lacks_is_asked_for(here, capsys):
 
 
 @pytest.mark.slow
-def test_relative_gains_need_limits_of_their_own(home, here, capsys):
+def test_relative_gains_require_explicit_limits(home, here, capsys):
     recording = make_robot_recording(
         str(home / "arm.urdf"), duration=8.0, dt=0.01, n_harmonics=4, random_state=0
     )
@@ -223,17 +221,17 @@ def test_relative_gains_need_limits_of_their_own(home, here, capsys):
     assert re.search(r"joint 1 \(shoulder\) .* -$", capsys.readouterr().out, re.M)
 
 
-def test_a_duration_that_would_do_is_named(here, capsys):
+def test_a_sufficient_duration_is_suggested(here, capsys):
     short = ("--urdf", "arm.urdf", "--duration", "0.5", "--acceleration", "3")
     line = refusal(capsys, *short)
     assert "too short for shoulder" in line
     # (1 - cos) / 2 through a quarter of the range of 6 rad
-    wanted = np.ceil(2 * np.pi * np.sqrt(0.75 / 3))
-    assert f"Give a duration of {wanted:g} s" in line
+    expected = np.ceil(2 * np.pi * np.sqrt(0.75 / 3))
+    assert f"Give a duration of {expected:g} s" in line
 
 
 @pytest.mark.parametrize(
-    ("option", "said"),
+    ("option", "message"),
     [
         ("--duration=nan", "duration must be"),
         ("--duration=0", "duration must be"),
@@ -245,11 +243,11 @@ def test_a_duration_that_would_do_is_named(here, capsys):
         ("--torque=", "--torque has an invalid value: ''"),
     ],
 )
-def test_numbers_that_are_none(option, said, here, capsys):
-    assert said in refusal(capsys, "--urdf", "arm.urdf", option)
+def test_invalid_numbers_are_refused(option, message, here, capsys):
+    assert message in refusal(capsys, "--urdf", "arm.urdf", option)
 
 
-def test_places_where_nothing_can_be_written(here, capsys):
+def test_unwritable_paths_are_refused(here, capsys):
     urdf = ("--urdf", "arm.urdf")
     Path("folder").mkdir()
     assert "folder exists" in refusal(capsys, *urdf, "--out", "folder", "--force")

@@ -1,4 +1,4 @@
-"""Robots that are told positions at the command line: --drive, its words, bad input."""
+"""Position-controlled robots on the command line: --drive and invalid input."""
 
 import csv
 import json
@@ -18,30 +18,30 @@ FEW = ("--effects", "none", "--quiet")
 
 
 @pytest.fixture(scope="module")
-def told(urdf):
-    """Columns of an arm that follows its commands late; no torque was measured."""
-    made = make_robot_recording(
+def commanded(urdf):
+    """Columns of an arm with delayed commands; no torque was measured."""
+    log = make_robot_recording(
         str(urdf), duration=15.0, n_harmonics=8, encoder_noise=1e-5, random_state=0
     )
-    # A command is held until the next one, half a row later in the mean.
-    later = made.t + DELAY + 0.5 * made.dt
-    q, tau = (CubicSpline(made.t, x) for x in (made.q, made.tau))
-    aim = q(later) + (tau(later) + KD * q(later, 1)) / KP
-    columns = {"t": made.t}
-    for j, name in enumerate(made.joint_names):
-        columns[f"q_{name}"] = made.q[:, j]
-        columns[f"q_desired_{name}"] = aim[:, j]
+    # A command is held until the next one, which adds half a row on average.
+    later = log.t + DELAY + 0.5 * log.dt
+    q, tau = (CubicSpline(log.t, x) for x in (log.q, log.tau))
+    desired = q(later) + (tau(later) + KD * q(later, 1)) / KP
+    columns = {"t": log.t}
+    for j, name in enumerate(log.joint_names):
+        columns[f"q_{name}"] = log.q[:, j]
+        columns[f"q_desired_{name}"] = desired[:, j]
     # splines end where the recording does
     return {name: x[:-4] for name, x in columns.items()}
 
 
 @pytest.fixture
-def run(told, urdf, tmp_path, monkeypatch, capsys):
+def run(commanded, urdf, tmp_path, monkeypatch, capsys):
     """Run a command on changed columns; return exit code, output and errors."""
     monkeypatch.chdir(tmp_path)
 
-    def go(command, *options, drive=LAW, robot=("--urdf", str(urdf)), **changed):
-        columns = {**told, **changed}
+    def call(command, *options, drive=LAW, robot=("--urdf", str(urdf)), **changed):
+        columns = {**commanded, **changed}
         table = np.column_stack([x for x in columns.values() if x is not None])
         header = ",".join(name for name, x in columns.items() if x is not None)
         np.savetxt("arm.csv", table, "%.9g", ",", header=header, comments="")
@@ -50,20 +50,20 @@ def run(told, urdf, tmp_path, monkeypatch, capsys):
         captured = capsys.readouterr()
         return code, *(" ".join(x.split()) for x in captured)
 
-    return go
+    return call
 
 
 def delay_in(text):
-    """Return the delay that is said, and its half width [ms]."""
+    """Return the printed delay and its half width [ms]."""
     found = re.search(r"Commands act ([\d.]+) \+- ([\d.]+) ms after they are", text)
     return tuple(map(float, found.groups()))
 
 
-def test_the_loop_is_closed_on_commands(run, tmp_path):
+def test_identification_from_commands(run, tmp_path):
     code, out, err = run("identify", *FEW)
     assert code == 0, err
-    late, half = delay_in(out)
-    assert abs(late - 1e3 * DELAY) < max(2 * half, 0.2)
+    delay, half = delay_in(out)
+    assert abs(delay - 1e3 * DELAY) < max(2 * half, 0.2)
     assert half < 1.0
     assert err.startswith("note: ")
     assert "no desired velocities (v_desired): taken as zero" in err
@@ -81,12 +81,12 @@ def test_the_loop_is_closed_on_commands(run, tmp_path):
         rows = {row["parameter"]: row for row in csv.DictReader(file)}
     row = rows["drive:delay"]
     assert row["unit"] == "s"
-    assert 1e3 * float(row["value"]) == pytest.approx(late, abs=half)
+    assert 1e3 * float(row["value"]) == pytest.approx(delay, abs=half)
     assert "Commands act" in page
 
 
 @pytest.mark.slow
-def test_positions_are_simulated_from_commands_alone(run, told):
+def test_positions_are_simulated_from_commands_only(run, commanded):
     run("identify", *FEW)
     model = ("--model", "arm-report/identified.json")
     code, out, err = run("simulate", "--out", "first", "--quiet", robot=model)
@@ -95,11 +95,11 @@ def test_positions_are_simulated_from_commands_alone(run, told):
     assert "clearly better than a robot at its commanded positions" in out
     for joint in ("shoulder", "elbow"):
         found = re.search(rf"{joint} mrad ([\d.]+) ([\d.]+)", out)
-        simulated, aim = map(float, found.groups())
+        simulated, desired = map(float, found.groups())
         assert simulated < 3.0
-        off = told[f"q_desired_{joint}"] - told[f"q_{joint}"]
-        assert aim == pytest.approx(1e3 * np.sqrt(np.mean(off**2)), rel=0.15)
-    # A delay that is given does not come on top of the one that was found.
+        error = commanded[f"q_desired_{joint}"] - commanded[f"q_{joint}"]
+        assert desired == pytest.approx(1e3 * np.sqrt(np.mean(error**2)), rel=0.15)
+    # A given delay is not added to the identified one.
     options = ("--out", "second", "--quiet")
     _, again, _ = run("simulate", *options, robot=model, drive=f"{LAW} delay=0.008")
     assert again.partition("written")[0] == out.partition("written")[0]
@@ -108,20 +108,20 @@ def test_positions_are_simulated_from_commands_alone(run, told):
     assert "kd is missing: give kd=" in err
 
 
-# What was done to the commands of both joints, and the message about it.
+# Changes to the commands of both joints, and the message.
 MISREAD = {
     "degrees": (np.degrees, "(q_desired) of all joints are in degrees"),
-    "sign": (lambda aim: aim * [1, -1], "(q_desired) of elbow have the wrong sign"),
-    "order": (lambda aim: aim[:, ::-1], "of all joints appear to be swapped"),
+    "sign": (lambda q: q * [1, -1], "(q_desired) of elbow have the wrong sign"),
+    "order": (lambda q: q[:, ::-1], "of all joints appear to be swapped"),
 }
 
 
 @pytest.mark.parametrize("fault", MISREAD)
-def test_commands_that_positions_do_not_follow_are_refused(fault, run, told):
-    misread, message = MISREAD[fault]
+def test_commands_inconsistent_with_positions_are_refused(fault, run, commanded):
+    change, message = MISREAD[fault]
     names = "q_desired_shoulder", "q_desired_elbow"
-    aims = misread(np.column_stack([told[name] for name in names])).T
-    columns = dict(zip(names, aims))
+    commands = change(np.column_stack([commanded[name] for name in names])).T
+    columns = dict(zip(names, commands))
     code, out, err = run("identify", *FEW, **columns)
     assert (code, out) == (2, "")
     assert message in err
@@ -136,33 +136,33 @@ CONSTANTS = {"shoulder": 4.0, "elbow": 2.5}
 
 @pytest.fixture(scope="module")
 def currents(urdf):
-    """Columns of the same arm with its motors' currents [A]."""
-    made = make_robot_recording(str(urdf), duration=15.0, n_harmonics=8, random_state=0)
-    columns = {"t": made.t}
-    for j, name in enumerate(made.joint_names):
-        columns[f"q_{name}"] = made.q[:, j]
-        columns[f"current_{name}"] = made.tau[:, j] / CONSTANTS[name]
+    """Columns of the same arm with motor currents [A]."""
+    log = make_robot_recording(str(urdf), duration=15.0, n_harmonics=8, random_state=0)
+    columns = {"t": log.t}
+    for j, name in enumerate(log.joint_names):
+        columns[f"q_{name}"] = log.q[:, j]
+        columns[f"current_{name}"] = log.tau[:, j] / CONSTANTS[name]
     return columns
 
 
 @pytest.mark.parametrize(
     ("command", "signed"), [("identify", "false"), ("inspect", "true")]
 )
-def test_currents_are_a_drive(command, signed, run, told, currents):
-    only = {name: None for name in told} | currents
+def test_currents_as_a_drive(command, signed, run, commanded, currents):
+    columns = {name: None for name in commanded} | currents
     if signed == "false":
-        only |= {x: np.abs(only[x]) for x in only if x.startswith("current")}
+        columns |= {x: np.abs(columns[x]) for x in columns if x.startswith("current")}
     law = f"current torque_constant=shoulder:4,elbow:2.5 signed={signed}"
     options = {"identify": FEW, "inspect": ()}[command]
-    code, _, err = run(command, *options, drive=law, **only)
+    code, _, err = run(command, *options, drive=law, **columns)
     assert code in (0, 3), err
     if command == "identify":
         page = Path("arm-report/report.html").read_text(encoding="utf-8")
         assert "torques are computed from the input of the motor" in page
         with open("arm-report/report.json") as file:
-            spread = [one["spread"] for one in json.load(file)["errors"]]
+            stds = [one["spread"] for one in json.load(file)["errors"]]
         sizes = [currents[f"current_{x}"].std() * CONSTANTS[x] for x in CONSTANTS]
-        assert spread == pytest.approx(sizes, rel=0.2)
+        assert stds == pytest.approx(sizes, rel=0.2)
 
 
 REFUSED = {
@@ -182,13 +182,13 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_bad_commands_are_refused_in_one_line(case, run):
-    given, message = REFUSED[case]
-    code, out, err = run("identify", *FEW, **given)
+    changes, message = REFUSED[case]
+    code, out, err = run("identify", *FEW, **changes)
     assert (code, out) == (2, "")
     assert message in err
 
 
-def test_the_refusal_names_the_command_to_type(run):
+def test_the_refusal_suggests_an_option(run):
     _, _, err = run("identify", drive=None)
     assert '--drive "pd kp=... kd=..."' in err
     gains = {f"k{x}_{j}": np.ones(2996) for x in "pd" for j in ("shoulder", "elbow")}
@@ -197,7 +197,7 @@ def test_the_refusal_names_the_command_to_type(run):
 
 
 @pytest.mark.parametrize("factor", [180 / np.pi, np.pi / 180])
-def test_gains_of_another_order_are_doubted(factor, run):
+def test_gains_in_other_units_give_a_warning(factor, run):
     kp, kd = factor * KP, factor * KD
     law = f"pd kp={kp[0]},{kp[1]} kd={kd[0]},{kd[1]}"
     code, out, err = run("inspect", drive=law)

@@ -1,4 +1,4 @@
-"""Exit codes: 0 can be used, 2 nothing done, 3 done with a doubt that is stated."""
+"""Exit codes: 0 success, 2 refused, 3 finished with warnings."""
 
 import io
 import json
@@ -23,7 +23,7 @@ SHORT = {"identify": ("--effects", "none", "--out", "out")}
 
 
 def run(capsys, command, *argv):
-    """Run a command; the exit code, stdout, and the lines on stderr."""
+    """Return the exit code, stdout, and the lines on stderr of a command."""
     code, out, err = _running.run(capsys, command, *argv, *SHORT.get(command, ()))
     return code, out, err.splitlines()
 
@@ -42,33 +42,33 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-def steps(column, share):
-    """Round to steps of a share of the spread."""
+def quantise(column, share):
+    """Round to steps of a share of the standard deviation."""
     step = share * column.std()
     return np.round(column / step) * step
 
 
-def without(table, rows):
+def drop_rows(table, rows):
     return {name: np.delete(column, rows) for name, column in table.items()}
 
 
-def by_joint(table):
+def name_by_joint(table):
     names = {"1": "_shoulder", "2": "_elbow"}
     return {name[:-1] + names.get(name[-1], name[-1]): x for name, x in table.items()}
 
 
-# Of an encoder at rest.
+# Encoder noise at rest.
 NOISE = 1e-4 * np.random.default_rng(0).normal(size=N)
 
 
-def half(table):
+def late(table):
     return np.arange(N) >= N // 2
 
 
-# What is done to a sound recording, the exit code, and what the last line says, of the
-# commands that differ from the rest under their own names.
+# Change to a valid recording, exit code, and pattern of the last line; the key "" holds
+# for all commands without an entry.
 RECORDINGS = {
-    "sound": (lambda x: x, {"": (0, "")}),
+    "valid": (lambda x: x, {"": (0, "")}),
     "a clipped torque": (
         lambda x: x | {"tau1": np.clip(x["tau1"], *np.quantile(x["tau1"], [0.2, 0.8]))},
         {"": (3, "The torque of shoulder is clipped at .* % of its samples lie there")},
@@ -89,28 +89,28 @@ RECORDINGS = {
         {"": (3, "The torque of shoulder has a new value only every 4 rows")},
     ),
     "a coarse torque": (
-        lambda x: x | {"tau1": steps(x["tau1"], 1.5)},
+        lambda x: x | {"tau1": quantise(x["tau1"], 1.5)},
         {"": (3, "The torque of shoulder goes in steps of ")},
     ),
     "a joint at rest": (
         lambda x: x | {"q2": np.full(N, 0.3)},
         {
             "": (3, "elbow never moves"),
-            # Once in the last line, and nowhere else but among the findings.
+            # Once in the last line and otherwise only in the findings.
             "identify": (3, r"(?s); elbow never moves \(exit(?!(.*elbow never){3})"),
         },
     ),
     "a gap": (
-        lambda x: without(x, slice(700, 800)),
+        lambda x: drop_rows(x, slice(700, 800)),
         {"": (3, r"1 gap\(s\) of 5 periods or more")},
     ),
-    "interpolated rows": (lambda x: without(x, [700, 900]), {"": (0, "")}),
+    "interpolated rows": (lambda x: drop_rows(x, [700, 900]), {"": (0, "")}),
     "no columns of a joint": (
-        by_joint,
+        name_by_joint,
         {"": (3, r"no columns of joint\(s\) wrist: held at zero")},
     ),
     "two robots": (
-        lambda x: x | {"segment": 1 * half(x), "tau1": x["tau1"] + 12 * half(x)},
+        lambda x: x | {"segment": 1 * late(x), "tau1": x["tau1"] + 12 * late(x)},
         {
             "": (0, ""),
             "identify": (3, "Recordings 0 and 1 contradict each other on joint 1"),
@@ -129,7 +129,7 @@ RECORDINGS = {
         {"": (2, "no positions")},
     ),
 }
-# One command of each recording is quick.
+# Of each recording, only one command runs in the quick tests.
 CASES = [
     pytest.param(kind, command, marks=[] if (i + k) % 2 == 0 else pytest.mark.slow)
     for i, kind in enumerate(RECORDINGS)
@@ -138,13 +138,13 @@ CASES = [
 
 
 @pytest.mark.parametrize(("kind", "command"), CASES)
-def test_recordings(kind, command, here, capsys):
+def test_exit_codes_of_recordings(kind, command, here, capsys):
     change, expected = RECORDINGS[kind]
     urdf = "hand.urdf" if kind == "no columns of a joint" else "arm.urdf"
     source = write(change(columns()))
-    wanted, message = expected.get(command, expected[""])
+    exit_code, message = expected.get(command, expected[""])
     code, out, err = run(capsys, command, source, "--urdf", urdf)
-    assert code == wanted, err
+    assert code == exit_code, err
     if code == 2:
         (line,) = [x for x in err if not x.startswith(("note: ", "warning: "))]
         assert line.startswith("sklearn-vbjfa: ")
@@ -153,38 +153,38 @@ def test_recordings(kind, command, here, capsys):
     else:
         assert all(x.startswith(("note: ", "warning: ")) for x in err)
         assert out
-    told = [x for x in err if x.startswith("warning: ")]
-    assert told == err[-1:] * (code == 3)
+    warned = [x for x in err if x.startswith("warning: ")]
+    assert warned == err[-1:] * (code == 3)
     shown = "".join(err[-1:])
     if command == "identify" and code == 3:
-        # The last line has the first clauses of what the page has whole.
+        # The last line may be shortened, the report is not.
         shown += Path("out/report.json").read_text(encoding="utf-8")
     assert re.search(message, shown), err
 
 
-def test_the_last_line_names_the_fault_of_a_file_with_a_blank(here, capsys):
-    source = write(without(columns(), slice(700, 800)), "my log.csv")
+def test_a_fault_of_a_file_with_a_space_is_named(here, capsys):
+    source = write(drop_rows(columns(), slice(700, 800)), "my log.csv")
     argv = "identify", source, "--urdf", "arm.urdf", "--no-search"
     code, _, err = run(capsys, *argv)
     assert code == 3
     assert re.search(r"my log.csv: \d gap\(s\) of 5 periods", err[-1])
 
 
-def test_a_terminal_may_lack_characters(here, monkeypatch):
+def test_characters_unknown_to_the_terminal_are_escaped(here, monkeypatch):
     source, terminal = write(columns(), "lög.csv"), io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(terminal, encoding="ascii"))
     assert main(["inspect", source, "--urdf", "arm.urdf"]) == 0
     assert b"'l\\xf6g'" in terminal.getvalue()
 
 
-def test_close_loop_is_another_name_of_identify(here, capsys):
+def test_close_loop_is_an_alias_of_identify(here, capsys):
     source = write(columns())
     argv = ("close-loop", source, "--urdf", "arm.urdf", "--no-search", "-o", "found")
     assert main(argv) == 0
     assert (here / "found" / "parameters.csv").exists()
 
 
-def test_what_no_search_looked_for_needs_a_search(here, capsys):
+def test_unexplained_torque_suggests_a_search(here, capsys):
     log = columns()
     source = write(log | {"tau1": log["tau1"] + 8.0 * log["q1"] ** 3})
     out = run(capsys, "identify", source, "--urdf", "arm.urdf", "--no-search")[1]
@@ -192,13 +192,13 @@ def test_what_no_search_looked_for_needs_a_search(here, capsys):
     assert "Next: identify without --no-search" in out
 
 
-def test_joints_that_are_held_by_choice_are_no_doubt(here, capsys):
+def test_omitted_joints_give_no_warning(here, capsys):
     source = write(columns())
     argv = (source, "--urdf", "hand.urdf", "--joints", "shoulder,elbow")
     assert run(capsys, "inspect", *argv)[0] == 0
 
 
-def test_the_motion_under_another_name_is_no_doubt(here, capsys):
+def test_unused_velocity_columns_give_no_warning(here, capsys):
     speeds = {f"arm_{j}.vel": np.gradient(columns()[f"q{j}"], DT) for j in (1, 2)}
     source = write(columns() | speeds)
     code, out, err = run(capsys, "identify", source, "--urdf", "arm.urdf")
@@ -207,7 +207,7 @@ def test_the_motion_under_another_name_is_no_doubt(here, capsys):
     assert "Channel: Column(s) 'arm_1.vel', 'arm_2.vel' are not used" in out
 
 
-def test_a_file_that_moves_differently_is_named_with_the_joint(here, capsys):
+def test_a_file_with_different_motion_is_named_with_the_joint(here, capsys):
     table = columns()
     speed = np.gradient(table["q2"], DT)
     table["tau2"] = table["tau2"] * (1 + 0.2 * np.sign(speed * table["tau2"]))
@@ -215,14 +215,14 @@ def test_a_file_that_moves_differently_is_named_with_the_joint(here, capsys):
     assert main([*argv, "--effects", "load_friction"]) == 3
     captured = capsys.readouterr()
     assert "MuJoCo file is an approximation" in " ".join(captured.out.split())
-    said = r"identified.xml moves differently from the identified robot \(.*elbow \d+ %"
-    assert re.search(f"warning: .*{said}.*exit code 3", captured.err.splitlines()[-1])
+    line = r"identified.xml moves differently from the identified robot \(.*elbow \d+ %"
+    assert re.search(f"warning: .*{line}.*exit code 3", captured.err.splitlines()[-1])
     report = json.loads(Path("out/report.json").read_text(encoding="utf-8"))
-    assert any(re.match(said, one) for one in report["warnings"])
+    assert any(re.match(line, one) for one in report["warnings"])
     assert "moves differently" in Path("out/report.html").read_text(encoding="utf-8")
 
 
-def test_a_simulation_goes_without_an_effect(here, capsys):
+def test_a_simulation_without_an_effect_gives_a_warning(here, capsys):
     table = columns()
     q, tau = (np.column_stack([table[f"{x}{j}"] for j in (1, 2)]) for x in ("q", "tau"))
     left_out = [effects.Jerk(joint=0)]
@@ -234,7 +234,7 @@ def test_a_simulation_goes_without_an_effect(here, capsys):
 
 
 @pytest.mark.slow
-def test_a_motion_for_effects_that_no_motion_shows(here, capsys):
+def test_designing_for_an_unidentifiable_effect_gives_a_warning(here, capsys):
     argv = ("--urdf", "arm.urdf", "--duration", "4", "--acceleration", "20")
     code, out, err = run(capsys, "design", *argv, "--effects", "rotor_inertia")
     assert code == 3
@@ -245,12 +245,12 @@ def test_a_motion_for_effects_that_no_motion_shows(here, capsys):
 
 
 @pytest.mark.parametrize("command", ["", *COMMANDS, "simulate", "design", "effects"])
-def test_help_tells_them(command, capsys):
+def test_help_lists_exit_codes(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([*filter(None, [command]), "--help"])
     assert stop.value.code == 0
     text = " ".join(capsys.readouterr().out.split())
     assert EXIT_CODES in text
-    # The default of --out is that of the command.
+    # The default of --out depends on the command.
     assert ("motion.csv" in text) == (command == "design")
     assert ("plus -simulation" in text) == (command == "simulate")

@@ -1,4 +1,4 @@
-"""A robot whose base is free, held: from the command line."""
+"""Robots with a free base, which is held, on the command line."""
 
 import json
 import re
@@ -14,20 +14,20 @@ from tests.command_line import _running
 from tests.model._legs import JOINTS, legs_mjcf
 
 ON_ITS_SIDE = (1.0, 1.0, 0.0, 0.0)
-GIVEN = ["--base-orientation", "1,1,0,0"]
+OPTION = ["--base-orientation", "1,1,0,0"]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return a folder with a robot and a recording of it that lies on its side."""
+    """Return a folder with a robot and a recording of it lying on its side."""
     folder = tmp_path_factory.mktemp("legs")
     (folder / "legs.xml").write_text(legs_mjcf())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         held = load_model(folder / "legs.xml", ON_ITS_SIDE)
-    made = make_robot_recording(held, duration=15.0, dt=0.01, random_state=0)
+    log = make_robot_recording(held, duration=15.0, dt=0.01, random_state=0)
     heads = ["t", *(f"q_{name}" for name in JOINTS), *(f"tau_{x}" for x in JOINTS)]
-    columns = np.column_stack([made.t, made.q, made.tau])
+    columns = np.column_stack([log.t, log.q, log.tau])
     np.savetxt(
         folder / "legs.csv", columns, delimiter=",", header=",".join(heads), comments=""
     )
@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture
 def run(folder, monkeypatch, tmp_path, capsys):
-    """Return the exit code and what was printed."""
+    """Return the exit code, stdout and stderr."""
     monkeypatch.chdir(tmp_path)
     files = [str(folder / "legs.csv"), "--urdf", str(folder / "legs.xml")]
 
@@ -47,13 +47,13 @@ def run(folder, monkeypatch, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_the_orientation_is_that_of_the_loop(run, tmp_path):
+def test_identify_uses_the_given_orientation(run, tmp_path):
     argv = ("identify", "--effects", "none", "--out", "out")
-    # Gravity from below is not that of the recording.
+    # The default orientation contradicts the recording.
     code, _, err = run(*argv)
     assert code == 2
     assert re.search(r"gravity pulls along .-?0.00, -1.00, -?0.00. of the base", err)
-    code, out, err = run(*argv, *GIVEN)
+    code, out, err = run(*argv, *OPTION)
     assert code == 0, err
     assert "held at zero" not in out
     report = json.loads((tmp_path / "out/report.json").read_text())
@@ -67,17 +67,17 @@ def test_the_orientation_is_that_of_the_loop(run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("1,1,0", "must be a quaternion of four finite numbers w, x, y, z"),
         ("1,1,0,up", "--base-orientation has an invalid value: '1,1,0,up'"),
     ],
 )
-def test_refuses_what_is_no_orientation(run, text, said):
+def test_invalid_orientations_are_refused(run, text, message):
     code, out, err = run("inspect", "--base-orientation", text)
     assert (code, out) == (2, "")
     (line,) = err.splitlines()
-    assert said in line
+    assert message in line
 
 
 def test_a_motion_is_designed_for_the_orientation(folder, tmp_path, capsys):
@@ -85,7 +85,7 @@ def test_a_motion_is_designed_for_the_orientation(folder, tmp_path, capsys):
     limits = ["--velocity", "3", "--acceleration", "3", "--torque", "1"]
     argv = ["design", "--urdf", urdf, *limits, "--joints", "L_calf", "--duration", "4"]
     shares = []
-    for more in ([], GIVEN):
+    for more in ([], OPTION):
         out = ["--out", str(tmp_path / f"{len(more)}.csv")]
         assert main([*argv, *more, *out]) in (0, 3)
         printed = capsys.readouterr().out

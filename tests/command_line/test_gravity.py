@@ -1,4 +1,4 @@
-"""identify and design --for gravity, from a log to a corrected description."""
+"""identify and design --for gravity: from a log to a corrected description."""
 
 import json
 import re
@@ -18,7 +18,7 @@ RNG = np.random.default_rng(0)
 ARM = Arm.drawn(3, RNG)
 
 
-def test_poses_are_designed_and_a_log_of_them_corrects_the_description(
+def test_a_log_of_designed_poses_corrects_the_description(
     tmp_path, capsys, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
@@ -30,7 +30,7 @@ def test_poses_are_designed_and_a_log_of_them_corrects_the_description(
     poses = table.loc[table["hold"] > 0, ["q_joint1", "q_joint2", "q_joint3"]]
     assert len(poses) == 40
     log = record(true, visit(poses.to_numpy()[::8]), np.array([1.0, 1.0, 4.0]), RNG)
-    # The third joint rests at a part of its friction.
+    # Static friction of the third joint differs between poses.
     stuck = np.repeat(RNG.normal(0.0, 2.0, len(log.q) // 100 + 1), 100)
     log.tau[:, 2] += stuck[: len(log.q)]
     columns = {"t": np.arange(len(log.q)) * DT}

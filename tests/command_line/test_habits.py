@@ -1,4 +1,4 @@
-"""Command line: what a refusal offers, and how a process ends."""
+"""Command line: suggested commands, closed output and imports."""
 
 import subprocess
 import sys
@@ -12,7 +12,7 @@ from tests.hostile._case import URDF
 
 
 class Refusal(ValueError):
-    """What a reader says of a file, with options that would do."""
+    """Error of a reader, with options that would work."""
 
     def __init__(self, reason, options=None):
         super().__init__(reason)
@@ -20,29 +20,29 @@ class Refusal(ValueError):
 
 
 @pytest.fixture
-def refused(monkeypatch, tmp_path):
-    """Let the reader of recordings end with an exception."""
+def failing_reader(monkeypatch, tmp_path):
+    """Return a function that sets the exception that the reader raises."""
     monkeypatch.chdir(tmp_path)
     Path("arm.urdf").write_text(URDF)
 
-    def let(error):
-        def fail(*arguments, **given):
+    def fail_with(error):
+        def fail(*arguments, **keywords):
             raise error
 
         monkeypatch.setattr("sklearn_vbjfa.datasets.read_recording", fail)
 
-    return let
+    return fail_with
 
 
-@pytest.mark.parametrize("given", [["--out", "full"], ["--out=full"]])
-def test_the_command_that_would_work_replaces_the_option(
-    given, tmp_path, capsys, monkeypatch
+@pytest.mark.parametrize("option", [["--out", "full"], ["--out=full"]])
+def test_the_suggested_command_replaces_the_option(
+    option, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
     Path("log.csv").write_text("t,q1,tau1\n")
     Path("full").mkdir()
     Path("full/mine").write_text("")
-    argv = ["identify", "log.csv", "--urdf", "arm.urdf", *given, "--quiet"]
+    argv = ["identify", "log.csv", "--urdf", "arm.urdf", *option, "--quiet"]
     assert main(argv) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.endswith(
@@ -64,14 +64,14 @@ def test_the_command_that_would_work_replaces_the_option(
         ({}, ""),
     ],
 )
-def test_options_in_a_command(options, command, refused, capsys):
-    refused(Refusal("no join=True", options))
+def test_options_of_the_suggested_command(options, command, failing_reader, capsys):
+    failing_reader(Refusal("no join=True", options))
     argv = ["inspect", "a b.csv", "--urdf", "arm.urdf", "--preset=ur", "--gain", "8"]
     assert main(argv) == 2
     assert capsys.readouterr().err == f"sklearn-vbjfa: no --join{command}\n"
 
 
-def test_a_reader_may_close_the_output():
+def test_closed_output_is_no_error():
     script = "import sys; sys.stdin.read(); from sklearn_vbjfa._cli import main; "
     words = [sys.executable, "-c", f"{script}sys.exit(main(['effects']))"]
     pipes = {name: subprocess.PIPE for name in ("stdin", "stdout", "stderr")}
@@ -82,8 +82,8 @@ def test_a_reader_may_close_the_output():
     assert process.returncode == 0
 
 
-def test_the_package_is_there_before_its_libraries():
-    """Whoever stops a program early meets the command line, not an import."""
+def test_the_command_line_imports_no_libraries():
+    """An early interrupt is handled by the command line."""
     code = "import sys, sklearn_vbjfa._cli; print(*sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
@@ -92,12 +92,12 @@ def test_the_package_is_there_before_its_libraries():
     assert not loaded & {"numpy", "scipy", "sklearn", "pinocchio"}
 
 
-def test_every_name_of_the_package_is_found_where_it_is_said_to_be():
+def test_public_names_are_found():
     assert set(sklearn_vbjfa.__all__) <= set(dir(sklearn_vbjfa))
     for name in sklearn_vbjfa.__all__:
         assert getattr(sklearn_vbjfa, name).__name__ == name
         assert name in dir(sklearn_vbjfa)
-    for room in sklearn_vbjfa._ROOMS:
-        assert getattr(sklearn_vbjfa, room).__name__ == f"sklearn_vbjfa.{room}"
+    for module in sklearn_vbjfa._ROOMS:
+        assert getattr(sklearn_vbjfa, module).__name__ == f"sklearn_vbjfa.{module}"
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         sklearn_vbjfa.nothing  # noqa: B018

@@ -1,4 +1,4 @@
-"""MJCF in place of a URDF, and joints that follow, from the command line."""
+"""MJCF descriptions and mimic joints on the command line."""
 
 import re
 import warnings
@@ -16,8 +16,7 @@ from sklearn_vbjfa.model import joint_names, load_model
 from tests.command_line._running import refused, run, write_csv
 from tests.effects._arms import inverse_dynamics
 
-# A planar arm with a gripper, whose second finger follows the first, a four-bar linkage
-# at its tip, and a loose object beside it.
+# A planar arm with a gripper, whose second finger follows the first, and a free body.
 HAND = """
 <body name="left" pos="0.3 0.02 0">
   <joint name="grip" type="slide" axis="0 1 0" range="0 0.04"/>
@@ -70,7 +69,7 @@ def table(recording, tmp_path):
     return write_csv(tmp_path / "swing.csv", recording)
 
 
-def test_a_run_from_mjcf_writes_every_file(write, table, recording, capsys):
+def test_identify_from_mjcf_writes_all_files(write, table, recording, capsys):
     path = write(PLAIN)
     argv = ["identify", table, "--urdf", path, "--effects", "none"]
     code, out, err = run(capsys, *argv)
@@ -86,14 +85,14 @@ def test_a_run_from_mjcf_writes_every_file(write, table, recording, capsys):
     assert root.tag == "mujoco"
     assert [one.get("name") for one in root.findall(".//body/joint")] == list(names)
     with pytest.warns(UserWarning, match="not taken over"):
-        again = load_model("swing-report/identified.xml")
-    # The inertia of rotors has no place in a URDF; the bodies are the same.
-    assert (again.armature > 0).all()
-    again.armature = np.zeros(2)
+        reloaded = load_model("swing-report/identified.xml")
+    # URDF has no rotor inertias; the bodies are the same.
+    assert (reloaded.armature > 0).all()
+    reloaded.armature = np.zeros(2)
     states = np.random.default_rng(0).normal(size=(10, 6))
-    found, expected = (inverse_dynamics(x, states) for x in (again, urdf))
+    found, expected = (inverse_dynamics(x, states) for x in (reloaded, urdf))
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    # The file that was written is a robot to begin with, too.
+    # The written file is a valid description.
     written = "swing-report/identified.xml"
     code, out, _ = run(capsys, "inspect", table, "--urdf", written)
     assert code == 0
@@ -119,7 +118,7 @@ def test_held_joints_of_mjcf(write, table, capsys):
         assert joint_names(model) == ("shoulder", "elbow")
 
 
-def test_limits_that_the_recording_exceeds_are_placeholders():
+def test_limits_exceeded_by_the_recording_are_replaced():
     model = SimpleNamespace(velocityLimit=np.ones(2), effortLimit=np.array([500, 5.0]))
     features = SimpleNamespace(nominal_=model, gains_=np.ones(2))
     robot = SimpleNamespace(features_=features, gains_=None)
@@ -132,20 +131,20 @@ def test_limits_that_the_recording_exceeds_are_placeholders():
         assert list(_limits(robot, recorded)) == ["--torque", limits]
 
 
-def test_a_robot_without_limits_and_with_columns_of_its_own(write, recording, capsys):
-    """The printed command brings limits, and a second log needs no columns again."""
+def test_a_robot_without_limits_and_a_log_with_custom_columns(write, recording, capsys):
+    """The printed command has limits; a second log needs no --columns."""
     path, names = write(PLAIN), recording.joint_names
     q, tau = recording.q, recording.tau + [2.0, 0.0] * np.sin(3 * recording.q)
     head = ",".join([f"{n}_pos" for n in names] + [f"{n}_torque" for n in names])
     np.savetxt("log.csv", np.hstack([q, tau]), delimiter=",", header=head, comments="")
-    given = ["--columns", "q={joint}_pos,tau={joint}_torque", "--effects", "spring"]
-    own = ["log.csv", "--dt", recording.dt]
-    _, out, _ = run(capsys, "identify", *own, "--urdf", path, *given)
+    options = ["--columns", "q={joint}_pos,tau={joint}_torque", "--effects", "spring"]
+    log = ["log.csv", "--dt", recording.dt]
+    _, out, _ = run(capsys, "identify", *log, "--urdf", path, *options)
     (command,) = re.findall("sklearn_vbjfa (design .*)", out)
     assert command.count(",") == 2
     assert run(capsys, *command.split(), "--duration", 4)[0] != 2
-    assert run(capsys, "simulate", *own, "--model", "log-report")[0] != 2
-    # Beside a report without columns, that of gravity compensation, they are asked for.
+    assert run(capsys, "simulate", *log, "--model", "log-report")[0] != 2
+    # If the report has no columns (gravity compensation), they are requested.
     Path("log-report/report.json").write_text('{"purpose": "gravity"}')
-    line = refused("simulate", capsys, *own, "--model", "log-report")
+    line = refused("simulate", capsys, *log, "--model", "log-report")
     assert "expected columns q1" in line

@@ -1,4 +1,4 @@
-"""Where files go: folders that take none are told first, earlier reports stay."""
+"""Output folders: unwritable ones are refused first, earlier reports are kept."""
 
 import json
 import os
@@ -27,8 +27,8 @@ def run(*options, command="identify"):
 
 
 @pytest.fixture
-def nothing_read(monkeypatch):
-    """Fail if a recording is read: the folder is looked at before."""
+def fail_on_read(monkeypatch):
+    """Fail if a recording is read: the folder is checked first."""
 
     def fail(*arguments, **given):
         raise AssertionError("a recording was read")
@@ -36,24 +36,24 @@ def nothing_read(monkeypatch):
     monkeypatch.setattr("sklearn_vbjfa.datasets.read_recording", fail)
 
 
-def test_a_second_run_does_not_replace_the_report_of_the_first(here, capsys):
+def test_a_second_run_keeps_the_first_report(here, capsys):
     assert run() == 0
     first = {x.name: x.read_bytes() for x in Path("arm-report").iterdir()}
     capsys.readouterr()
     assert run() == 0
-    told = capsys.readouterr()
-    assert "written: arm-report-2" in told.out
+    captured = capsys.readouterr()
+    assert "written: arm-report-2" in captured.out
     assert first == {x.name: x.read_bytes() for x in Path("arm-report").iterdir()}
     assert {x.name for x in Path("arm-report-2").iterdir()} == set(first)
 
 
-def test_one_of_two_runs_at_once_is_refused(here, capsys):
+def test_a_concurrent_run_is_refused(here, capsys):
     part = Path("arm-report/.writing")
     part.mkdir(parents=True)
     assert run() == 2
     last = capsys.readouterr().err.splitlines()[-1]
     assert "another run writes to arm-report" in last
-    # What a killed run left an hour and more ago is cleaned up.
+    # Files of a killed run are removed after an hour.
     os.utime(part, (0, 0))
     assert run("--json") == 0
     assert not part.exists()
@@ -62,7 +62,7 @@ def test_one_of_two_runs_at_once_is_refused(here, capsys):
     assert printed["headline"]
 
 
-def test_inspection_is_printed_as_data(here, capsys):
+def test_inspection_is_printed_as_json(here, capsys):
     assert main(["inspect", "arm.csv", "--urdf", "arm.urdf", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["joint_names"] == ["shoulder", "elbow"]
@@ -70,7 +70,7 @@ def test_inspection_is_printed_as_data(here, capsys):
     assert set(found["identifiable"]) == {"shoulder", "elbow"}
 
 
-def test_a_folder_that_is_named_is_not_written_over(here, capsys, nothing_read):
+def test_a_named_folder_is_not_overwritten(here, capsys, fail_on_read):
     Path("v1.2").mkdir()
     Path("v1.2/report.json").write_text("{}")
     assert run("--out", "v1.2") == 2
@@ -84,17 +84,17 @@ def test_a_folder_that_is_named_is_not_written_over(here, capsys, nothing_read):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
 @pytest.mark.parametrize("option", ["--out", "--ranges"])
-def test_a_folder_that_takes_no_files_is_told_first(here, capsys, nothing_read, option):
+def test_an_unwritable_folder_is_refused_first(here, capsys, fail_on_read, option):
     assert run(option, "/proc/x") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "/proc cannot be written to (" in line
 
 
-def test_a_description_without_masses_is_named_and_not_the_period(here, capsys):
+def test_missing_masses_are_reported_instead_of_the_period(here, capsys):
     text = re.sub('<mass value="[^"]*"', '<mass value="0"', URDF)
     Path("arm.urdf").write_text(text)
     assert main(["inspect", "arm.csv", "--urdf", "arm.urdf"]) in (0, 3)
-    told = capsys.readouterr()
-    assert "has no mass" in told.err
-    assert "is inconsistent with the motion" not in told.out + told.err
-    assert "inertias ask for" not in told.out + told.err
+    captured = capsys.readouterr()
+    assert "has no mass" in captured.err
+    assert "is inconsistent with the motion" not in captured.out + captured.err
+    assert "inertias ask for" not in captured.out + captured.err

@@ -23,11 +23,11 @@ SHORT = {"identify": ("--effects", "spring")}
 @pytest.fixture(scope="module")
 def motions(urdf):
     """Three motions of a robot that has a spring on its shoulder."""
-    made = make_robot_recording(
+    recording = make_robot_recording(
         str(urdf), duration=8.0, dt=0.01, n_recordings=3, random_state=0
     )
-    made.tau[:, 0] += 4.0 * made.q[:, 0]
-    return [made.select(k) for k in range(3)]
+    recording.tau[:, 0] += 4.0 * recording.q[:, 0]
+    return [recording.select(k) for k in range(3)]
 
 
 @pytest.fixture
@@ -46,8 +46,8 @@ def fill(folder, motions):
 
 
 @pytest.fixture(scope="module")
-def closed(motions, tmp_path_factory):
-    """Folder, exit code and output of the loop that is closed on all three."""
+def identified(motions, tmp_path_factory):
+    """Folder, exit code and output of identify on all three recordings."""
     folder = tmp_path_factory.mktemp("closed")
     fill(folder, motions)
     out = io.StringIO()
@@ -58,14 +58,14 @@ def closed(motions, tmp_path_factory):
 
 
 def run(capsys, command, *argv):
-    """Run a command; the exit code, stdout, and the lines on stderr."""
+    """Return the exit code, stdout, and the lines on stderr of a command."""
     options = ("--urdf", "arm.urdf", *SHORT.get(command, ()))
     code, out, err = _running.run(capsys, command, *argv, *options)
     return code, out, err.splitlines()
 
 
 def refusal(capsys, command, *argv):
-    """Return the one line on stderr of a run that does nothing."""
+    """Return the only line on stderr of a refused run, which writes nothing."""
     before = sorted(Path().rglob("*"))
     code, out, err = run(capsys, command, *argv)
     assert (code, out) == (2, "")
@@ -75,8 +75,8 @@ def refusal(capsys, command, *argv):
     return line
 
 
-def test_the_report_is_of_all_recordings(closed):
-    folder, code, out = closed
+def test_the_report_covers_all_recordings(identified):
+    folder, code, out = identified
     folder = folder / "runs-report"
     assert code == 0
     assert out.startswith("Recording 'runs': 2400 samples, 2 joints, dt = 0.01 s, 3 ")
@@ -88,18 +88,18 @@ def test_the_report_is_of_all_recordings(closed):
     assert [effect["name"] for effect in report["effects"]] == ["spring"]
     page = (folder / "report.html").read_text(encoding="utf-8")
     text = page[page.index("Provenance and method</h2>") :]
-    for told in (*RUNS, "3 recordings (a, b and c)"):
-        assert told in text
+    for expected in (*RUNS, "3 recordings (a, b and c)"):
+        assert expected in text
 
 
-def test_they_are_as_good_as_segments_of_one_file(here, closed, capsys):
+def test_files_are_equivalent_to_segments_of_one_file(here, identified, capsys):
     tables = [np.loadtxt(name, delimiter=",", skiprows=1) for name in RUNS]
     labels = np.repeat([1, 2, 3], [len(table) for table in tables])
-    head = "t,q1,q2,tau1,tau2,segment"
+    header = "t,q1,q2,tau1,tau2,segment"
     whole = np.column_stack([np.vstack(tables), labels])
-    np.savetxt("one.csv", whole, delimiter=",", header=head, comments="", fmt="%.10g")
+    np.savetxt("one.csv", whole, delimiter=",", header=header, comments="", fmt="%.10g")
     assert run(capsys, "identify", "one.csv")[0] == 0
-    paths = closed[0] / "runs-report/report.json", Path("one-report/report.json")
+    paths = identified[0] / "runs-report/report.json", Path("one-report/report.json")
     several, one = (json.loads(x.read_text(encoding="utf-8")) for x in paths)
     differ = {key for key in one if one[key] != several[key]}
     assert differ == {"provenance"}
@@ -115,7 +115,7 @@ def test_inspection_of_several(here, capsys):
     assert {path.name for path in here.iterdir()} == {"arm.urdf", "runs"}
 
 
-def test_recordings_may_stand_behind_options(here, capsys):
+def test_recordings_may_follow_options(here, capsys):
     argv = ["inspect", "runs/a.csv", "--urdf", "arm.urdf", "runs/b.csv"]
     assert main(argv) == 0
     assert "a 8 s, b 8 s" in capsys.readouterr().out
@@ -130,7 +130,7 @@ def test_recordings_may_stand_behind_options(here, capsys):
         (["inspect", "a.csv"], "give --urdf FILE"),
     ],
 )
-def test_what_a_command_does_not_take_is_refused(argv, words, here, capsys):
+def test_unknown_arguments_are_refused(argv, words, here, capsys):
     assert main(argv) == 2
     assert words in capsys.readouterr().err
 
@@ -140,6 +140,6 @@ def test_the_folder_of_the_recordings_is_not_written_to(here, capsys):
     assert "runs holds a.csv, b.csv, c.csv" in line
 
 
-def test_a_bad_file_is_refused_by_its_name(here, capsys):
+def test_a_bad_file_is_named(here, capsys):
     Path("runs/d.csv").write_text("")
     assert "runs/d.csv: is empty, no rows of data" in refusal(capsys, "inspect", "runs")

@@ -1,4 +1,4 @@
-"""The command simulate: errors on screen, files, one line for what is wrong."""
+"""The command simulate: printed errors, files and one-line refusals."""
 
 import csv
 import functools
@@ -16,7 +16,7 @@ from tests.command_line._running import refused, run
 
 @pytest.fixture(scope="module")
 def saved(urdf, recording, tmp_path_factory):
-    """File of a robot that was identified from all of it."""
+    """File of a robot identified from the whole recording."""
     path = tmp_path_factory.mktemp("saved") / "arm.json"
     robot = RobotIdentifier(str(urdf), dt=recording.dt, friction=("viscous", "coulomb"))
     robot.fit(recording.q, recording.tau).save(path)
@@ -27,7 +27,7 @@ refusal = functools.partial(refused, "simulate")
 
 
 def printed(capsys, *argv, code=0):
-    """Return what is printed, without notes."""
+    """Return stdout; check that stderr has only notes and warnings."""
     found, out, err = run(capsys, "simulate", *argv)
     assert found == code
     assert all(x.startswith(("note: ", "warning: ")) for x in err.splitlines())
@@ -49,12 +49,11 @@ def rms_degrees(errors):
 
 
 def test_a_saved_robot_is_simulated_over_all_rows(good, saved, recording, capsys):
-    # Windows of which few are hard are too few to be clear on the shoulder.
     text = printed(capsys, good, "--model", saved, "--out", "here/there")
     lines = text.splitlines()
     assert lines[0].startswith("Recording 'arm': 3000 samples, 2 joints")
     assert max(map(len, lines)) <= 90
-    # The same in Python.
+    # The same with the Python API.
     found = simulate_windows(load_identified(saved), recording.q, recording.tau)
     positions = table(text)
     assert list(positions) == ["shoulder", "elbow"]
@@ -95,27 +94,27 @@ def test_direction_outside_the_fit_gives_a_note(good, saved, tmp_path, capsys):
     assert "motion only" not in err
 
 
-def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
+def test_failed_windows_are_named(good, saved, capsys, monkeypatch):
     from sklearn_vbjfa import IdentifiedRobot
 
     right, calls = IdentifiedRobot.simulate, []
 
-    def wrong(self, *given, **named):
+    def fail_third(self, *given, **named):
         calls.append(1)
         if len(calls) == 3:
             raise SimulationError("The simulation diverges, as it must.")
         return right(self, *given, **named)
 
-    monkeypatch.setattr(IdentifiedRobot, "simulate", wrong)
+    monkeypatch.setattr(IdentifiedRobot, "simulate", fail_third)
     text = printed(capsys, good, "--model", saved, code=3)
     count = len(calls)
-    told = " ".join(text.splitlines())
-    where = re.search(
+    joined = " ".join(text.splitlines())
+    match = re.search(
         rf"1 of {count} windows failed, the first at arm, (\S+) "
         r"to (\S+) s: The simulation diverges, as it must\.",
-        told,
+        joined,
     )
-    begin, end = map(float, where.groups())
+    begin, end = map(float, match.groups())
     assert end - begin == pytest.approx(1.0)
     assert f"{count - 1} of {count} windows, each" in text
     with open("arm-simulation/simulation.csv", newline="", encoding="utf-8") as file:
@@ -133,7 +132,7 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
         ("arm.csv --urdf U", "unrecognized arguments: --urdf"),
         ("arm.csv --model none.json", "none.json"),
         ("arm.csv --model arm.csv", "expected a saved robot (identified.json)"),
-        # A folder stands for the robot in it.
+        # A folder refers to the robot in it.
         ("arm.csv --model .", "identified.json"),
         ("none.csv --model M", "none.csv: no such file"),
         ("--model M", "required: LOG"),
@@ -145,9 +144,9 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
         ("arm.csv --model M --joints elbow", "2 column(s) q for 1 joint(s)"),
     ],
 )
-def test_what_cannot_be_is_one_line(argv, message, good, urdf, saved, capsys):
-    places = {"U": urdf, "M": saved}
-    line = refusal(capsys, *(places.get(x, x) for x in argv.split()))
+def test_invalid_arguments_are_refused(argv, message, good, urdf, saved, capsys):
+    paths = {"U": urdf, "M": saved}
+    line = refusal(capsys, *(paths.get(x, x) for x in argv.split()))
     assert message in line
     assert [path.name for path in good.parent.iterdir()] == ["arm.csv"]
 
@@ -160,7 +159,7 @@ def test_a_recording_of_another_rate_is_refused(saved, recording, tmp_path, caps
     assert "was identified at 0.005 s" in line
 
 
-def test_no_file_is_written_by_half(good, saved, capsys, monkeypatch):
+def test_no_file_is_partially_written(good, saved, capsys, monkeypatch):
     folder = good.parent / "arm-simulation"
     folder.mkdir()
     (folder / "simulation.csv").write_text("old")
@@ -171,7 +170,7 @@ def test_no_file_is_written_by_half(good, saved, capsys, monkeypatch):
     monkeypatch.setattr("sklearn_vbjfa._cli._simulate.errors_table", full)
     code, out, err = run(capsys, "simulate", good, "--model", saved)
     assert code == 2
-    # The numbers are not lost with the files.
+    # The errors are printed even if the file cannot be written.
     assert "position error over windows" in out
     *_, line = err.splitlines()
     assert line == "sklearn-vbjfa: No space left on device"

@@ -311,11 +311,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if fault is not None:
             raise fault
         silent = [j for f in channels if f.kind in NO_INFORMATION for j in f.joints]
-        late, std, self.torque_lag_ = (), np.nan, 0.0
-        if lag := common_lag(channels):
-            refit = clone(self.identifier).fit_inspected(whole, lag, compare=False)
-            late, std = refit.effects_[-1:], refit.theta_std_[-1:]
-            self.torque_lag_ = refit.torque_lag_
+        late, std = self.identifier.lag_from(whole, common_lag(channels))
+        self.torque_lag_ = sum((effect.lag for effect in late), 0.0)
+        if late:
             whole = with_torques_shifted(whole, self.torque_lag_)
         say("declared model")
         split = split_in_time(self.identifier, whole, self.test_size)

@@ -8,6 +8,7 @@ alone. Requires Dask (``pip install "sklearn-vbjfa[dask]"``).
 import contextvars
 import functools
 import warnings
+from dataclasses import replace
 from functools import partial
 from os import PathLike, fspath
 
@@ -29,17 +30,22 @@ from sklearn_vbjfa.equations._plan import (
 from sklearn_vbjfa.equations._states import choose_states
 from sklearn_vbjfa.fit._estimate import from_moments
 from sklearn_vbjfa.recording import check_dt, expand, read_recording, recordings_in
+from sklearn_vbjfa.recording._recording import take_arrays, with_torques_shifted
 
 __all__ = ["fit_recordings"]
 # Number of results that are in memory at the same time.
 _BATCH_SIZE = 8
+# Most rows and files in which channels are inspected.
+_EXCERPT, _FILES = 50_000, 50
 
 
 def fit_recordings(identifier, source):
     """Identify a robot from recordings in files, with Dask.
 
     The result is that of the identifier's `fit` on all recordings in memory, one group
-    each, in the order of the files' names, up to rounding.
+    each, in the order of the files' names, up to rounding. Channels are inspected,
+    and a lag of all torques is estimated, in an excerpt: at most 50,000 rows, the first
+    ones of at most 50 files.
 
     Parameters
     ----------
@@ -63,12 +69,12 @@ def fit_recordings(identifier, source):
         If the folder holds no recording.
     ValueError
         If a file cannot be read or has another sample period or number of joints, or
-        if settings need more than second moments (effects, other regressors).
+        if settings need more than second moments (effects, drives, other regressors).
 
     Notes
     -----
     The computation runs where Dask is configured to run: on the cluster of the current
-    `distributed.Client`, otherwise in threads. The files are read once for each of five
+    `distributed.Client`, otherwise in threads. The files are read once for each of six
     passes, and a process holds only those that it is working on.
 
     Examples
@@ -96,9 +102,11 @@ def _identify(identifier, paths):
     """Fit an identifier to sums of second moments over files."""
     dt = check_dt(identifier.dt)
     identifier.build_model()
-    if len(identifier.effects_) or not from_moments(identifier.regressor):
+    extra = len(identifier.effects_) or identifier.drive is not None
+    if extra or not from_moments(identifier.regressor):
         raise ValueError(
-            "fit_recordings supports neither effects nor a regressor that needs rows: "
+            "fit_recordings supports no effects, no drive, nor a regressor that needs "
+            "rows: "
             "workers return second moments of bodies and friction; fit in memory."
         )
     names = identifier.joint_names_
@@ -106,30 +114,34 @@ def _identify(identifier, paths):
     urdf = fspath(model) if isinstance(model, (str, PathLike)) else None
     read = partial(_read, dt=dt, urdf=urdf, names=names)
 
-    def reduce_files(label, function, *arguments):
+    def reduce_files(label, function, *arguments, paths=paths):
         tasks = [(read, function, path, *arguments) for path in paths]
         return counted(_on_workers(tasks), label, len(tasks))
 
-    extents = list(reduce_files("lengths", _extent))
-    lengths = [n for extent in extents for n in extent["lengths"]]
+    by_file, torques, moving = zip(*reduce_files("lengths", _extent))
+    lengths = [n for each in by_file for n in each]
+    chosen = paths[:: -(-len(paths) // _FILES)]
+    heads = reduce_files("channels", _head, _EXCERPT // len(chosen), paths=chosen)
+    q, tau, labels = map(np.concatenate, zip(*heads))
+    excerpt = take_arrays(q, tau, labels, dt=dt, joint_names=names)
+    excerpt = replace(excerpt, group_names=tuple(dict.fromkeys(labels.tolist())))
+    late, std = identifier.lag_from(excerpt, identifier.warned_lag(excerpt))
+    read = partial(read, lag=sum(effect.lag for effect in late))
     longest = max(lengths)
     n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM), dt)
     power, energy = map(sum, zip(*reduce_files("spectra", _spectra, dt, n_fft)))
     spectra = _smoothing.spectrum(power, energy, n_fft, dt) if energy else None
-    moving = np.any([extent["moving"] for extent in extents], axis=0)
     cutoff = identifier.fit_options.state_cutoff
-    estimator = choose_states(dt, cutoff, longest, moving, spectra)
+    estimator = choose_states(dt, cutoff, longest, np.any(moving, axis=0), spectra)
     keep = n_fastest(sum(lengths))
     merge = partial(MotionFacts.merge, keep=keep)
     motion = functools.reduce(merge, reduce_files("speeds", _motion, estimator, keep))
     plan = make_plan(identifier, (), lengths, estimator, motion)
-    stops = np.cumsum(lengths).tolist()
-    parts = [slice(a, b) for a, b in zip([0, *stops], stops)]
+    parts = [slice(0, n) for n in lengths]
     check_length(parts, plan.lowpass, plan.cutoff, range(len(parts)))
-    torques = np.concatenate([extent["torques"] for extent in extents])
     ranges = np.stack([motion.lowest, motion.highest])
-    check_channels(names, ranges, torques)
-    first = np.cumsum([0, *(len(extent["lengths"]) for extent in extents)]).tolist()
+    check_channels(names, ranges, np.concatenate(torques))
+    first = np.cumsum([0, *map(len, by_file)]).tolist()
     blocks = BlockAssignment.of([plan.lowpass.centres(n).size for n in lengths])
     halves = identifier.input_noise is not None
     offsets = dict(zip(paths, first))
@@ -141,7 +153,9 @@ def _identify(identifier, paths):
     def noise(robot):
         return [x for facts in reduce_files("noise", _noise, robot) for x in facts]
 
-    return identifier.fit_moments(plan, sum_moments(moments), noise)
+    identifier.fit_moments(plan, sum_moments(moments), noise)
+    vars(identifier).update(vars(identifier.extended_by(late, std)))
+    return identifier
 
 
 def _on_workers(tasks):
@@ -171,13 +185,13 @@ def _paths(source):
     return paths
 
 
-def _read(path, *, dt, urdf, names):
+def _read(path, *, dt, urdf, names, lag=0.0):
     recording = read_recording(path, dt=dt, urdf=urdf)
     try:
         check_widths(names, recording.q, recording.tau)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    return recording
+    return with_torques_shifted(recording, lag)
 
 
 def _reduce_file(read, function, path, *arguments):
@@ -187,12 +201,17 @@ def _reduce_file(read, function, path, *arguments):
 
 
 def _extent(recording, path):
-    parts = recording.segments
-    return {
-        "lengths": [part.stop - part.start for part in parts],
-        "torques": (recording.tau.min(axis=0), recording.tau.max(axis=0)),
-        "moving": np.any([np.ptp(recording.q[p], axis=0) > 0 for p in parts], axis=0),
-    }
+    parts, tau = recording.segments, recording.tau
+    moving = np.any([np.ptp(recording.q[p], axis=0) > 0 for p in parts], axis=0)
+    lengths = [part.stop - part.start for part in parts]
+    return lengths, (tau.min(axis=0), tau.max(axis=0)), moving
+
+
+def _head(recording, path, rows):
+    """Return the first positions and torques of a file, and names of recordings."""
+    several = len(recording.group_names) > 1
+    names = np.array([path + f", {x}" * several for x in recording.group_names])
+    return recording.q[:rows], recording.tau[:rows], names[recording.groups[:rows]]
 
 
 def _spectra(recording, path, dt, n_fft):

@@ -177,12 +177,8 @@ class RobotFit:
         inertial = robot.inertial()
         torques = functools.partial(robot.features_.torques, inertial=inertial)
         load = sum_ranges([x.loads(robot.plan.lowpass, torques) for x in self.segments])
-        ranges = effect_ranges(
-            robot.features_.friction_,
-            robot.effects_,
-            motion=self.estimate.moments.ranges,
-            load=load,
-        )
+        motion, friction = self.estimate.moments.ranges, robot.features_.friction_
+        ranges = effect_ranges(friction, robot.effects_, motion, load)
         return replace(self, robot=replace(robot, effect_ranges_=ranges))
 
     def with_noise_facts(self, facts):
@@ -340,11 +336,9 @@ def _inflate_covariance(fit, other):
     # The correction assumes Coulomb friction that reverses instantly, and free other
     # joints. Its error has the same sign in all joints, so the scatter of the residual
     # between blocks of time does not reveal it.
-    result = fit.estimate
-    std = result.std
+    result, std, covariance = fit.estimate, fit.estimate.std, fit.estimate.covariance
     step = DESCRIBED * (result.theta_unconstrained - other.estimate.theta_unconstrained)
     step = np.where(std > 0, step, 0.0)
-    covariance = result.covariance
     if covariance is not None:
         covariance = covariance + np.outer(step, step)
     changes = {"std": np.hypot(std, step), "covariance": covariance}
@@ -369,9 +363,8 @@ def _with_effects(robot, effects):
 
 def _initial_load(previous, robot):
     """Return the load parameters of a robot fitted before; None if unknown."""
-    if previous is None or not needs_load(robot.effects_):
-        return None
-    if any(isinstance(effect, InModel) for effect in robot.effects_):
+    in_model = any(isinstance(effect, InModel) for effect in robot.effects_)
+    if previous is None or in_model or not needs_load(robot.effects_):
         return None
     if previous.features_.friction_ != robot.features_.friction_:
         return None
@@ -413,11 +406,8 @@ def iterate_corrections(recipe, fit, source, relative):
             load = robot.load_parameters / common.factor
             fit = recipe.fit_data(replace(robot, load_parameters=load), source)
     robot, result, indices = fit.robot, fit.estimate, values.indices
-    theta, unconstrained, std, identified = (
-        x.copy()
-        for x in (result.theta, result.theta_unconstrained, result.std)
-        + (robot.identifiable_,)
-    )
+    arrays = result.theta, result.theta_unconstrained, result.std, robot.identifiable_
+    theta, unconstrained, std, identified = map(np.copy, arrays)
     present_values = [x.values for x in robot.effects_ if isinstance(x, InModel)]
     theta[indices] = unconstrained[indices] = np.concatenate(present_values)
     covariance = result.covariance
@@ -444,13 +434,8 @@ def iterate_corrections(recipe, fit, source, relative):
             common=common,
         )
     identified[indices] = np.isfinite(std[indices])
-    corrected = replace(
-        result,
-        theta=theta,
-        theta_unconstrained=unconstrained,
-        std=std,
-        covariance=covariance,
-    )
+    changes = {"theta": theta, "theta_unconstrained": unconstrained, "std": std}
+    corrected = replace(result, **changes, covariance=covariance)
     fit = fit.with_estimate(corrected, identifiable_=identified, gains_=gains)
     moments, weight = values.moments, result.joint_weights
     metric = denoised(moments.total(weight), moments.total_noise(weight))
@@ -459,9 +444,7 @@ def iterate_corrections(recipe, fit, source, relative):
 
 
 def _changes_bodies(robot):
-    return any(
-        isinstance(effect, InModel) and effect.of_bodies for effect in robot.effects_
-    )
+    return any(isinstance(x, InModel) and x.of_bodies for x in robot.effects_)
 
 
 def _correct_values(recipe, fit, source, relative):
@@ -496,9 +479,7 @@ def _correct_values(recipe, fit, source, relative):
         factors, last_step = values.step_factors(factors, last_step), values.step
         corrected = _with_effects(robot, values.corrected(factors))
     else:
-        names = [
-            effect.name for effect in values.effects if isinstance(effect, InModel)
-        ]
+        names = [x.name for x in values.effects if isinstance(x, InModel)]
         warnings.warn(
             f"The values of {', '.join(dict.fromkeys(names))} did not converge in "
             f"{MAX_CORRECTIONS} corrections (nearly equal columns). Declare fewer.",

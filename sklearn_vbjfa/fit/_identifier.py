@@ -321,16 +321,26 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def _fit_inspected(self, recording):
         """Fit; warn about the channels if the fit contradicts the description."""
         self._fit(recording, inspect=True)
-        if not self._suspect:
-            return self
-        findings = self.findings(recording)
-        lag = common_lag(findings)
+        lag = self.warned_lag(recording) if self._suspect else 0.0
         if lag and (self.drive, self.used_gains) == (None, None):
             self.fit_inspected(recording, lag)
+        return self
+
+    def warned_lag(self, recording):
+        """Warn about the channels; return the lag of all torques that they show [s]."""
+        findings = self.findings(recording)
         for finding in findings:
             if finding.severity != "note":
-                warnings.warn(finding.message, DoubtWarning, stacklevel=3)
-        return self
+                warnings.warn(finding.message, DoubtWarning, stacklevel=4)
+        return common_lag(findings)
+
+    def lag_from(self, recording, lag):
+        """Estimate the lag of all torques from an initial value, with its deviation."""
+        # Returns () instead of the effect if the initial value is zero.
+        if not lag:
+            return (), np.nan
+        refit = clone(self).fit_inspected(recording, lag, compare=False)
+        return refit.effects_[-1:], refit.theta_std_[-1:]
 
     def findings(self, recording):
         """Return what `inspect_channels` finds in a recording under these settings."""

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from dataclasses import replace
 
 import distributed
 import numpy as np
@@ -13,6 +14,7 @@ from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa import distributed as passes
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.distributed import fit_recordings
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.robot import FitOptions
 from tests.robot import test_streaming
 
@@ -41,13 +43,8 @@ def save(recording, folder):
     for k in range(3):
         rows = recording.groups == k if k < 2 else recording.groups >= 2
         more = {"segment": recording.groups[rows]} if k == 2 else {}
-        np.savez(
-            folder / f"{k}.npz",
-            q=recording.q[rows],
-            tau=recording.tau[rows],
-            dt=recording.dt,
-            **more,
-        )
+        arrays = {"q": recording.q[rows], "tau": recording.tau[rows], **more}
+        np.savez(folder / f"{k}.npz", dt=recording.dt, **arrays)
     return folder
 
 
@@ -63,9 +60,8 @@ def robot(recording, **settings):
 
 
 def in_memory(recording, **settings):
-    return robot(recording, **settings).fit(
-        recording.q, recording.tau, groups=recording.groups
-    )
+    arrays = recording.q, recording.tau, recording.groups
+    return robot(recording, **settings).fit(*arrays)
 
 
 def assert_same(found, expected):
@@ -94,6 +90,17 @@ def test_fit_from_files_equals_fit_in_memory(recording, folder, settings):
         assert_allclose(one.speed, other.speed, rtol=1e-6, atol=1e-9)
     assert found.n_features_in_ == 6
     assert found.predict(recording.q[:50]).shape == (50, 6)
+
+
+def test_channels_are_inspected(recording, tmp_path):
+    late = replace(recording, tau=np.roll(recording.tau, 3, axis=0))
+    found, expected = fit_recordings(robot(late), save(late, tmp_path)), in_memory(late)
+    assert_allclose(found.theta_, expected.theta_, rtol=1e-4, atol=1e-6)
+    assert found.torque_lag_ == pytest.approx(0.03, abs=1e-3)
+    sign = np.where(recording.groups == 1, -1.0, 1.0)[:, None]
+    other = save(replace(recording, tau=sign * recording.tau), tmp_path)
+    with pytest.warns(DoubtWarning, match=r"Recording .*1\.npz alone: .*wrong sign"):
+        fit_recordings(robot(recording), other)
 
 
 def dying(function, marker):

@@ -34,12 +34,9 @@ def base(recording):
     return fitted(recording)
 
 
-def test_no_lag_parameter_without_a_lag(base):
+def test_lag_and_standard_error_are_estimated(recording, base, tmp_path):
     assert base.torque_lag_ == 0.0
     assert not any(name.startswith("torques") for name in base.parameter_names_)
-
-
-def test_lag_and_standard_error_are_estimated(recording, base, tmp_path):
     lag = -0.01
     log = delayed(recording, lag)
     assert [x.kind for x in inspect_recording(log)] == ["delay"]

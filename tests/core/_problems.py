@@ -1,4 +1,4 @@
-"""Data, states and the bridge to the reference, for the tests of the core."""
+"""Data, states and their conversion to the reference, for tests of the core."""
 
 import numpy as np
 from scipy import signal
@@ -8,7 +8,7 @@ from sklearn_vbjfa._core._solver import IndependentProblem
 from sklearn_vbjfa._core._updates import LatentState, Prior
 from tests.reference import paper_jfa as ref
 
-ARD_SHAPE, ARD_RATE = 0.3, 0.7  # nothing special, and far from their defaults
+ARD_SHAPE, ARD_RATE = 0.3, 0.7  # arbitrary, far from the defaults
 
 
 def make_data(seed, n_features, n_samples=25, noise=0.4):
@@ -24,13 +24,13 @@ def make_data(seed, n_features, n_samples=25, noise=0.4):
 
 def coloured(rng, shape, rho):
     """AR(1) noise of unit variance."""
-    drawn = rng.normal(size=shape)
-    drawn[0] /= np.sqrt(1 - rho**2)
-    return signal.lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], drawn, axis=0)
+    white = rng.normal(size=shape)
+    white[0] /= np.sqrt(1 - rho**2)
+    return signal.lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], white, axis=0)
 
 
 def as_gram(X, y):
-    """Take moments of the rows as they are, neither centred nor scaled."""
+    """Return moments of the rows, neither centred nor scaled."""
     return square_root(float(len(y)), X.T @ X, X.T @ y, float(y @ y))
 
 
@@ -68,7 +68,7 @@ def make_prior(model, n_samples, n_features):
 
 
 def iterate(moments, state, prior):
-    """Do one whole iteration; return the new state and the bound of the old one."""
+    """Do one iteration; return the new state and the bound of the old one."""
     problem = IndependentProblem(moments, prior)
     point = problem.evaluate(state)
     return problem.update(point), point.value
@@ -79,13 +79,13 @@ def noise_of(state):
 
 
 def as_jfa_params(state):
-    """Turn the state into the reference's point estimates."""
+    """Convert the state to point estimates of the reference."""
     return ref.JFAParams(w_z=state.w_z_mean, w_x=state.w_x_mean, **noise_of(state))
 
 
 def as_vb_params(state):
-    """Turn the state into the reference's posteriors."""
+    """Convert the state to posteriors of the reference."""
     shape = np.full(state.alpha_rate.size, state.alpha_shape)
     names = "w_z_mean", "w_z_var", "w_x_mean", "w_x_var", "alpha_rate"
-    known = {name: getattr(state, name) for name in names}
-    return ref.VBParams(alpha_shape=shape, **known, **noise_of(state))
+    values = {name: getattr(state, name) for name in names}
+    return ref.VBParams(alpha_shape=shape, **values, **noise_of(state))

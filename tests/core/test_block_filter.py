@@ -1,4 +1,4 @@
-"""The low-pass in blocks against SciPy's polyphase filter."""
+"""The blockwise low-pass filter against SciPy's polyphase filter."""
 
 import numpy as np
 import pytest
@@ -18,9 +18,9 @@ FILTERS = [
 
 
 def polyphase(lowpass, x):
-    """SciPy's filter, at the samples where all of it lies in the recording."""
-    every = scipy.signal.upfirdn(lowpass.taps, x, axis=0)
-    return every[2 * lowpass.half : x.shape[0] : lowpass.step]
+    """SciPy's filter, at samples where the whole filter lies in the recording."""
+    output = scipy.signal.upfirdn(lowpass.taps, x, axis=0)
+    return output[2 * lowpass.half : x.shape[0] : lowpass.step]
 
 
 @pytest.mark.parametrize("lowpass", FILTERS)
@@ -28,6 +28,6 @@ def polyphase(lowpass, x):
 @pytest.mark.parametrize("n", [1, 400])
 def test_equal_to_the_polyphase_filter(lowpass, shape, n):
     x = np.random.default_rng(0).normal(size=(n, *shape))
-    ours = lowpass(x)
-    assert ours.shape[0] == lowpass.centres(n).size
-    assert_allclose(ours, polyphase(lowpass, x), rtol=0, atol=1e-13)
+    found = lowpass(x)
+    assert found.shape[0] == lowpass.centres(n).size
+    assert_allclose(found, polyphase(lowpass, x), rtol=0, atol=1e-13)

@@ -1,4 +1,4 @@
-"""Evidence for a group of columns against integrals and densities written out."""
+"""Evidence for a group of columns against explicit integrals and densities."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def problem(k, seed=0, size=1.0):
 
 
 def groups_of(X, y, unit, freedom=np.inf):
-    """Moments of one group whose columns are alone."""
+    """Moments of a single group of columns."""
     return Groups(
         H=(X.T @ X)[None],
         q=(X.T @ y)[None],
@@ -33,13 +33,13 @@ def groups_of(X, y, unit, freedom=np.inf):
 
 
 def log_density(y, covariance):
-    """Of the normal distribution with mean zero."""
+    """Return the log density of a zero-mean normal distribution."""
     power = y @ np.linalg.solve(covariance, y)
     return -0.5 * (power + np.linalg.slogdet(2 * np.pi * covariance)[1])
 
 
 def log_factor(X, y, unit, scale):
-    """Log density of the torques with the group over that without, for one scale."""
+    """Log density ratio of the torques with and without the group, for one scale."""
     prior = np.diag((scale * np.asarray(unit)) ** 2)
     noise = np.eye(len(y))
     return log_density(y, noise + X @ prior @ X.T) - log_density(y, noise)
@@ -56,15 +56,15 @@ def test_evidence_is_the_integral_over_the_half_cauchy_scale(k, size):
         density = stats.halfcauchy.pdf(scale, scale=width) * scale
         return density * np.exp(log_factor(X, y, unit, scale))
 
-    ends = np.log([1e-5, 1e3])
-    integral, _ = integrate.quad(integrand, *ends, limit=200)
+    limits = np.log([1e-5, 1e3])
+    integral, _ = integrate.quad(integrand, *limits, limit=200)
     found = groups_of(X, y, unit).evidence(width)
     assert_allclose(found, [np.log(integral)], atol=0.01)
 
 
 @pytest.mark.parametrize("k", [1, 2, 3])
-def test_evidence_under_students_noise_is_that_of_its_density(k):
-    """A scale counts as the peak of a t distribution in k dimensions over its value."""
+def test_evidence_with_student_noise_is_that_of_its_density(k):
+    """The likelihood ratio of a scale is that of a t distribution in k dimensions."""
     X, y = problem(k, seed=k, size=30.0)
     unit, width, freedom = 1.0 / np.sqrt((X**2).mean(axis=0)), 0.1, 8.0
     noise = stats.multivariate_t(shape=np.eye(k), df=freedom)
@@ -85,17 +85,17 @@ def test_evidence_under_students_noise_is_that_of_its_density(k):
 @pytest.mark.parametrize("k", [1, 3])
 def test_overdispersion_discounts_the_likelihood(k):
     X, y = problem(k, seed=k, size=30.0)
-    scatter = Overdispersion(ratio=2.5, freedom=6.0, usual=1.5)
-    # Noise of a variance larger by the ratio, and Student's t in place of the normal.
+    overdispersion = Overdispersion(ratio=2.5, freedom=6.0, usual=1.5)
+    # Noise variance multiplied by the ratio, and Student's t instead of a normal.
     expected = groups_of(*(x / np.sqrt(2.5) for x in (X, y)), np.ones(k), 6.0)
-    found = groups_of(X, y, np.ones(k)).discounted(scatter)
+    found = groups_of(X, y, np.ones(k)).discounted(overdispersion)
     assert_allclose(found.evidence(0.1), expected.evidence(0.1), rtol=1e-10)
     t = stats.multivariate_t(shape=np.eye(k), df=6.0)
     away = np.sqrt(2 * 10.0 / 2.5) * np.eye(k)[0]
     ratio = t.logpdf(np.zeros(k)) - t.logpdf(away)
-    assert_allclose(scatter.discounted(10.0, k), ratio, rtol=1e-10)
-    assert_allclose(scatter.as_usual().discounted(10.0, k), 10.0 / 1.5)
-    assert scatter.discounted(-10.0, k) == -4.0
+    assert_allclose(overdispersion.discounted(10.0, k), ratio, rtol=1e-10)
+    assert_allclose(overdispersion.as_usual().discounted(10.0, k), 10.0 / 1.5)
+    assert overdispersion.discounted(-10.0, k) == -4.0
 
 
 @pytest.mark.parametrize("k", [1, 2, 3])
@@ -129,12 +129,12 @@ def test_a_column_of_zeros_costs_nothing():
     more = groups_of(np.column_stack([X, np.zeros(ROWS)]), y, [*unit, 0.0])
     assert_allclose(more.evidence(0.1), one.evidence(0.1), rtol=1e-12)
     assert_allclose(more.coefficients()[0], [*one.coefficients()[0], 0.0], rtol=1e-10)
-    nothing = groups_of(np.zeros((ROWS, 1)), y, [0.0])
-    assert_allclose(nothing.evidence(0.1), [0.0], atol=1e-12)
-    assert not nothing.shown().any()
+    empty = groups_of(np.zeros((ROWS, 1)), y, [0.0])
+    assert_allclose(empty.evidence(0.1), [0.0], atol=1e-12)
+    assert not empty.shown().any()
 
 
-def test_gain_and_coefficients_are_those_of_least_squares():
+def test_gain_and_coefficients_equal_least_squares():
     X, y = problem(3, size=5.0)
     groups = groups_of(X, y, [1.0, 0.3, 3.0])
     coef, rest, *_ = np.linalg.lstsq(X, y, rcond=None)
@@ -143,16 +143,16 @@ def test_gain_and_coefficients_are_those_of_least_squares():
 
 
 def test_odds_are_calibrated():
-    """Of groups that are there in half of the draws, as the prior has it.
+    """Half of the groups are present, as in the prior.
 
-    Among those with a probability between two bounds that share is there.
+    In each interval of probability, the mean probability is the share present.
     """
     rng = np.random.default_rng(0)
     X, _ = problem(2)
     unit = 1.0 / np.sqrt((X**2).mean(axis=0))
     count = 8000
-    there = rng.random(count) < 0.5
-    scale = np.abs(0.1 * np.tan(0.5 * np.pi * rng.random(count))) * there
+    present = rng.random(count) < 0.5
+    scale = np.abs(0.1 * np.tan(0.5 * np.pi * rng.random(count))) * present
     coef = scale[:, None] * unit * rng.normal(size=(count, 2))
     y = coef @ X.T + rng.normal(size=(count, ROWS))
     groups = Groups(
@@ -165,6 +165,6 @@ def test_odds_are_calibrated():
     for low, high in ((0.0, 0.48), (0.48, 0.6), (0.6, 0.9), (0.9, 1.0)):
         chosen = (probability >= low) & (probability <= high)
         mean = probability[chosen].mean()
-        deviation = np.sqrt(mean * (1 - mean) / chosen.sum())
+        std = np.sqrt(mean * (1 - mean) / chosen.sum())
         assert chosen.sum() > 50
-        assert abs(there[chosen].mean() - mean) < 3.5 * deviation + 0.005
+        assert abs(present[chosen].mean() - mean) < 3.5 * std + 0.005

@@ -1,4 +1,4 @@
-"""Columns of unit length, and singular values: any unit, any offset, constants."""
+"""Columns of unit length and least squares: units, offsets, constant columns."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def test_moments(unit, offset, center):
     assert_allclose(np.sum(result.values**2, axis=0), 1.0, rtol=1e-13)
     assert_allclose(result.values / root * result.scale + result.mean, X, rtol=1e-11)
     if center:
-        # The second pass of the mean: no trace of the offset is left.
+        # The second pass of the mean removes the offset completely.
         assert_allclose(root[:, 0] @ result.values, 0.0, atol=1e-13)
 
 
@@ -52,16 +52,16 @@ def test_constant_columns_become_zero():
 
 
 @pytest.fixture
-def no_divide_and_conquer(monkeypatch):
-    """Let the usual decomposition fail, as it does for some matrices with zeros."""
+def failing_svd(monkeypatch):
+    """Let the default decomposition fail, as for some matrices with zeros."""
 
-    def fails(*arguments, **given):
+    def fail(*arguments, **keywords):
         raise np.linalg.LinAlgError("SVD did not converge")
 
-    monkeypatch.setattr(np.linalg, "svd", fails)
+    monkeypatch.setattr(np.linalg, "svd", fail)
 
 
-def test_least_squares_where_it_does_not_converge(no_divide_and_conquer):
+def test_least_squares_if_the_svd_does_not_converge(failing_svd):
     rng = np.random.default_rng(1)
     matrix = np.column_stack([rng.normal(size=(20, 3)), np.zeros(20)])
     found = scaled_lstsq(matrix, matrix @ [1.0, -2.0, 3.0, 4.0])

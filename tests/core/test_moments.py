@@ -1,4 +1,4 @@
-"""Sufficient statistics: any split, any weight, any unit, any offset."""
+"""Sufficient statistics: splits, weights, units and offsets."""
 
 import functools
 import itertools
@@ -26,13 +26,13 @@ def scatter_of(moments):
     return R.T @ R
 
 
-def assert_same(first, second, rtol=1e-12):
+def assert_same(found, expected, rtol=1e-12):
     """Equal up to rounding; scatter entries in units of their diagonal."""
-    assert_allclose(first.n_samples, second.n_samples, rtol=rtol)
-    unit = np.sqrt(np.diagonal(scatter_of(second)))
-    shift = (first.mean - second.mean) * np.sqrt(second.n_samples) / unit
-    assert_allclose(shift, 0.0, atol=rtol * np.sqrt(second.n_samples))
-    difference = (scatter_of(first) - scatter_of(second)) / np.outer(unit, unit)
+    assert_allclose(found.n_samples, expected.n_samples, rtol=rtol)
+    unit = np.sqrt(np.diagonal(scatter_of(expected)))
+    shift = (found.mean - expected.mean) * np.sqrt(expected.n_samples) / unit
+    assert_allclose(shift, 0.0, atol=rtol * np.sqrt(expected.n_samples))
+    difference = (scatter_of(found) - scatter_of(expected)) / np.outer(unit, unit)
     assert_allclose(difference, 0.0, atol=rtol)
 
 
@@ -51,7 +51,7 @@ def test_merge_in_any_chunks_and_order(seed, cuts, order, weighted):
         _moments.from_data(X[a:b], y[a:b], None if w is None else w[a:b])
         for a, b in itertools.pairwise(bounds)
     ]
-    # Few rows are kept as few.
+    # A few rows are not expanded.
     for piece, (a, b) in zip(pieces, itertools.pairwise(bounds)):
         assert piece.factor.shape == (min(b - a, 6), 6)
     order.shuffle(pieces)
@@ -60,8 +60,8 @@ def test_merge_in_any_chunks_and_order(seed, cuts, order, weighted):
 
 
 @pytest.mark.parametrize("split", [1, 7])
-def test_large_offset_costs_only_its_rounding(split):
-    # Integers keep every number exact: any difference is the accumulation's.
+def test_large_offset_only_adds_rounding(split):
+    # Integers are exact: any difference is due to the accumulation.
     rng = np.random.default_rng(3)
     X = rng.integers(-1000, 1000, (500, 3)).astype(float)
     y = rng.integers(-1000, 1000, 500).astype(float)
@@ -73,22 +73,22 @@ def test_large_offset_costs_only_its_rounding(split):
             for rows in np.array_split(np.arange(500), split)
         ],
     )
-    # The mean is rounded by 1e11 eps = 2e-5, against a spread of 600, and enters the
-    # scatter by its square; raw second moments would have lost all their digits.
+    # The mean is rounded by 1e11 eps = 2e-5, the standard deviation is 600, and the
+    # scatter contains its square; raw second moments would have lost all digits.
     assert_allclose(far.mean - 1e11, near.mean, atol=1e-4)
     unit = np.sqrt(np.diagonal(scatter_of(near)))
     difference = (scatter_of(far) - scatter_of(near)) / np.outer(unit, unit)
     assert_allclose(difference, 0.0, atol=1e-7)
 
 
-def test_a_scatter_alone_gives_the_same_moments():
+def test_a_scatter_gives_the_same_moments():
     X, y, _ = make_rows(5, offset=0.0)
     rows = np.column_stack([X, 1e6 * y])
     sums = rows.T @ rows
-    known = _moments.Scatter(
+    scatter = _moments.Scatter(
         n_samples=300.0, S_xx=sums[:-1, :-1], S_xy=sums[:-1, -1], S_yy=sums[-1, -1]
     )
-    found = _moments.from_scatter(known)
+    found = _moments.from_scatter(scatter)
     assert_allclose(scatter_of(found), sums, rtol=1e-10)
     assert_array_equal(found.mean, 0.0)
     assert found.n_samples == 300.0
@@ -97,9 +97,9 @@ def test_a_scatter_alone_gives_the_same_moments():
 @pytest.mark.parametrize("weighted", [True, False])
 @pytest.mark.parametrize("centred", [True, False])
 @pytest.mark.parametrize("shape", [(200, 5), (6, 9)])
-def test_standard_units_are_those_of_the_rows(shape, centred, weighted):
+def test_standardised_moments_equal_those_of_the_rows(shape, centred, weighted):
     X, y, weight = make_rows(4, *shape)
-    X[:, 1] = 0.1  # constant; not when moments are about zero
+    X[:, 1] = 0.1  # constant, which does not matter for moments about zero
     w = weight if weighted else np.ones(shape[0])
     found = _moments.standardise(
         _moments.from_data(X, y, weight if weighted else None), centred=centred

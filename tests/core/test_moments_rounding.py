@@ -1,4 +1,4 @@
-"""Digits of nearly dependent inputs and of outputs with hardly any noise."""
+"""Rounding with nearly dependent inputs and nearly noise-free outputs."""
 
 import numpy as np
 import pytest
@@ -31,11 +31,11 @@ def relative(found, reference):
 @pytest.mark.parametrize("n", [30, 3000])
 @pytest.mark.parametrize("noise", [1e-2, 1e-10])
 @pytest.mark.parametrize("condition", [1e2, 1e6, 1e12])
-def test_predictions_are_those_of_the_rows(condition, noise, n):
+def test_predictions_equal_those_from_the_rows(condition, noise, n):
     X, y, reference = make_problem(n, condition, noise)
     model = make_model().fit(X, y)
-    # What the prior does to the estimate, far below its standard error, and what any
-    # solver leaves of the digits of X @ coef: eps times the condition number.
+    # The bias by the prior is far below the standard error; the rounding of X @ coef
+    # is eps times the condition number for any solver.
     error = relative(model.predict(X), reference)
     standard_error = noise * np.sqrt(6 / n)
     assert error < 0.1 * standard_error + 64 * np.finfo(float).eps * condition

@@ -1,4 +1,4 @@
-"""Groups of non-negative coefficients: their evidence and their least squares."""
+"""Groups of non-negative coefficients: evidence and least squares."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_two_coefficients_by_quadrature(mean, correlation):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_nine_elements_by_a_million_draws(seed):
-    """Posteriors of alike columns."""
+    """Posteriors of similar columns."""
     rng = np.random.default_rng(seed)
     columns = np.tril(np.ones((9, 9)))
     covariance = np.linalg.inv(5.0 * columns.T @ columns + np.eye(9))
@@ -39,19 +39,19 @@ def groups(X, y, positive):
     )
 
 
-def test_no_element_of_a_bank_is_negative():
+def test_coefficients_are_not_negative():
     rng = np.random.default_rng(0)
     X = np.cumsum(rng.normal(size=(200, 5)), axis=1)
-    right = np.array([1.0, 0.0, 2.0, 0.0, 0.5])
-    y = X @ right + rng.normal(size=200)
+    true = np.array([1.0, 0.0, 2.0, 0.0, 0.5])
+    y = X @ true + rng.normal(size=200)
     (coef,) = groups(X, y, True).coefficients()
     assert (coef >= 0).all()
     gradient = X.T @ (y - X @ coef)
     assert_allclose(gradient[coef > 0], 0.0, atol=1e-8)
     assert (gradient <= 1e-8).all()
-    # Signs that cannot be are evidence against the group, others for it.
-    free, bank = groups(X, y, False), groups(X, y, True)
-    assert bank.evidence(0.1)[0] > free.evidence(0.1)[0]
-    wrong, away = groups(X, -y, False), groups(X, -y, True)
-    assert away.evidence(0.1)[0] < 0.0 < wrong.evidence(0.1)[0]
-    assert_allclose(away.gain(), 0.0, atol=1e-6)
+    # Negative coefficients are evidence against the group, positive ones for it.
+    unconstrained, positive = groups(X, y, False), groups(X, y, True)
+    assert positive.evidence(0.1)[0] > unconstrained.evidence(0.1)[0]
+    unconstrained_wrong, positive_wrong = groups(X, -y, False), groups(X, -y, True)
+    assert positive_wrong.evidence(0.1)[0] < 0.0 < unconstrained_wrong.evidence(0.1)[0]
+    assert_allclose(positive_wrong.gain(), 0.0, atol=1e-6)

@@ -1,4 +1,4 @@
-"""Progress: on terminals alone, with the stage and its count."""
+"""Progress: on terminals only, with stage and count."""
 
 import io
 import sys
@@ -11,7 +11,7 @@ from sklearn_vbjfa.datasets import load_demo_recording
 
 
 class Terminal(io.StringIO):
-    """A terminal that keeps what is written to it."""
+    """A terminal that stores its output."""
 
     def isatty(self):
         return True
@@ -29,20 +29,20 @@ def fit(recording, verbose=1):
 
 
 def show_on(monkeypatch, stream):
-    """Write errors to a stream; pytest replaces that of `sys` before each test."""
+    """Replace stderr; pytest replaces the one of `sys` before each test."""
     monkeypatch.delenv("TQDM_DISABLE", raising=False)
     monkeypatch.setattr(sys, "stderr", stream)
     return stream
 
 
-def test_stages_of_a_fit_with_their_counts(recording, monkeypatch):
+def test_stages_of_a_fit_are_shown_with_counts(recording, monkeypatch):
     terminal = show_on(monkeypatch, Terminal())
     fit(recording)
     assert "states: 1 of" in terminal.getvalue()
 
 
 @pytest.mark.parametrize("silent", ["piped", "verbose=0", "no stderr"])
-def test_silence(silent, recording, monkeypatch):
+def test_progress_is_not_shown(silent, recording, monkeypatch):
     streams = {"piped": io.StringIO(), "no stderr": None}
     stream = show_on(monkeypatch, streams.get(silent, Terminal()))
     fit(recording, verbose=silent != "verbose=0")

@@ -1,4 +1,4 @@
-"""Variances from the scatter between blocks, against estimates that were repeated."""
+"""Variances from the scatter between blocks, against repeated estimates."""
 
 import numpy as np
 import pytest
@@ -10,12 +10,12 @@ NORMAL = 1.6449
 
 
 def scatter(grams, scores, place, noise=1.0):
-    """Take all parameters together."""
+    """Return the block variance with all parameters in one group."""
     return block_variance([(np.arange(scores.shape[1]), grams)], scores, place, noise)
 
 
 def study(rho, *, p=3, n=1200, n_blocks=40, trials=150, recordings=1):
-    """Errors of least squares (trials, p) in coloured noise, factors, freedoms."""
+    """Least-squares errors (trials, p) with coloured noise, factors, freedoms."""
     rng = np.random.default_rng(0)
     label = np.arange(n) * n_blocks // n
     per = n_blocks // recordings
@@ -24,11 +24,11 @@ def study(rho, *, p=3, n=1200, n_blocks=40, trials=150, recordings=1):
     for _ in range(trials):
         X, noise = coloured(rng, (n, p), 0.9), coloured(rng, n, rho)
         error = np.linalg.lstsq(X, noise, rcond=None)[0]
-        left = noise - X @ error
+        residual = noise - X @ error
         rows = [label == b for b in range(n_blocks)]
         grams = np.array([X[r].T @ X[r] for r in rows])
-        scores = np.array([X[r].T @ left[r] for r in rows])
-        found = scatter(grams, scores, place, left @ left / n)
+        scores = np.array([X[r].T @ residual[r] for r in rows])
+        found = scatter(grams, scores, place, residual @ residual / n)
         errors.append(error)
         deviations.append(np.sqrt(np.diagonal(found.scores.T @ found.scores)))
         np.testing.assert_allclose(
@@ -40,8 +40,8 @@ def study(rho, *, p=3, n=1200, n_blocks=40, trials=150, recordings=1):
 
 
 @pytest.mark.parametrize("p", [1, 3, 15])
-def test_white_residuals_change_nothing_in_the_mean(p):
-    """Fifteen parameters take much of the noise out of forty blocks: put back."""
+def test_white_residuals_give_a_factor_of_one_on_average(p):
+    """The noise that 15 parameters absorb from 40 blocks is corrected."""
     _, _, factors, freedoms = study(0.0, p=p)
     # three standard deviations of the mean of 150 factors
     error = np.std(np.mean(factors, axis=1)) / np.sqrt(len(factors))
@@ -51,15 +51,15 @@ def test_white_residuals_change_nothing_in_the_mean(p):
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.7, 0.95])
-def test_ninety_per_cent_hold_the_truth(rho):
+def test_ninety_per_cent_intervals_cover_the_truth(rho):
     errors, deviations, _, freedoms = study(rho)
     inside = np.abs(errors) < NORMAL * np.sqrt(freedoms / (freedoms - 2)) * deviations
     # 450 intervals: 1.4 % for one standard deviation
     assert 0.87 < inside.mean() < 0.93
 
 
-def test_slow_residuals_are_seen_beyond_a_block():
-    """Noise that outlasts a block of thirty rows threefold, and a slow regressor."""
+def test_slow_residuals_count_beyond_a_block():
+    """Noise is correlated over three blocks of 30 rows; the regressor is slow."""
     rng = np.random.default_rng(1)
     n, blocks = 3000, 100
     grams, place = np.full((blocks, 1, 1), 30.0), np.zeros((blocks, 2), dtype=int)
@@ -71,32 +71,32 @@ def test_slow_residuals_are_seen_beyond_a_block():
         scores = (noise - mean).reshape(blocks, 30).sum(axis=1)[:, None]
         found = scatter(grams, scores, place, noise.var())
         ratio.append([mean**2, found.factor[0] * found.white[0]])
-    true, claimed = np.mean(ratio, axis=0)
-    assert claimed == pytest.approx(true, rel=0.3)
+    true, estimated = np.mean(ratio, axis=0)
+    assert estimated == pytest.approx(true, rel=0.3)
 
 
 def test_blocks_of_other_recordings_are_no_neighbours():
-    """The same scores, of one recording and of as many as there are blocks."""
+    """The same scores, in one recording and in one recording for each block."""
     rng = np.random.default_rng(2)
     scores = np.repeat(rng.normal(size=(20, 1)), 2, axis=0)
     grams = np.ones((40, 1, 1))
     together = np.column_stack([np.zeros(40, int), np.arange(40)])
-    alone = np.column_stack([np.arange(40), np.zeros(40, int)])
+    separate = np.column_stack([np.arange(40), np.zeros(40, int)])
     joined = scatter(grams, scores, together)
-    apart = scatter(grams, scores, alone)
+    apart = scatter(grams, scores, separate)
     assert joined.factor[0] > 1.25 * apart.factor[0]
-    # By hand: equal neighbours are one block; what the fit took of each is put back,
-    # and what is left between neighbours counts on both sides.
+    # By hand: equal neighbours are one block; the part absorbed by the fit is added,
+    # and the correlation of neighbours counts on both sides.
     sums = scores.reshape(20, 2).sum(axis=1)
     plain = sums @ sums / (40 * (1 - 1 / 20))
-    taken = plain * 40 / 20**2
-    products = (sums[:-1] * sums[1:] + taken).mean()
-    alike = products / ((sums**2 + taken).mean())
-    expected = plain * max(1 + 2 * alike, 0.5)
+    absorbed = plain * 40 / 20**2
+    products = (sums[:-1] * sums[1:] + absorbed).mean()
+    correlation = products / ((sums**2 + absorbed).mean())
+    expected = plain * max(1 + 2 * correlation, 0.5)
     assert joined.factor[0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_what_is_not_determined_has_no_variance():
+def test_undetermined_parameters_have_no_variance():
     grams = np.zeros((20, 2, 2))
     grams[:, 0, 0] = 1.0
     scores = np.zeros((20, 2))
@@ -108,8 +108,8 @@ def test_what_is_not_determined_has_no_variance():
     assert found.scores[:, 1].tolist() == [0.0] * 20
 
 
-def test_a_parameter_of_one_block_takes_the_factor_of_the_others():
-    """The fit leaves its own block nothing to tell how large the noise was."""
+def test_a_parameter_of_one_block_has_the_factor_of_the_others():
+    """The fit leaves no residual in its block to estimate the noise."""
     rng = np.random.default_rng(3)
     grams = np.zeros((30, 2, 2))
     grams[:, 0, 0] = 1.0
@@ -120,7 +120,7 @@ def test_a_parameter_of_one_block_takes_the_factor_of_the_others():
     found = scatter(grams, scores, place)
     assert found.factor[1] == pytest.approx(found.factor[0], rel=0.1)
     assert np.isnan(found.freedom[1])
-    # Its own scores are zero: no covariance, and above all not one of zero.
+    # Its scores are zero: the covariance is NaN, not zero.
     covariance = found.scores.T @ found.scores
     assert np.isnan(covariance[1]).all()
     assert covariance[0, 0] == pytest.approx(found.factor[0] * found.white[0])

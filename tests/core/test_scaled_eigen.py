@@ -1,4 +1,4 @@
-"""The scaled eigen-decomposition: no unit decides, and each result against NumPy's."""
+"""The scaled eigen-decomposition: invariance to units, and results against NumPy."""
 
 import numpy as np
 import pytest
@@ -24,11 +24,11 @@ def test_rank_does_not_depend_on_units(dependent):
     A, _ = make_gram(0, dependent=dependent)
     assert scaled_eigen(A).rank == 5 - dependent
     assert scaled_eigen(A / np.outer(UNITS, UNITS)).rank == 5 - dependent
-    # As it is, what is small in this unit looks like nothing.
+    # Without scaling, columns that are small in their unit count as zero.
     assert scaled_eigen(A, scale=1.0).rank < 4
 
 
-def test_singular_is_the_least_norm_in_scaled_columns():
+def test_singular_systems_have_the_least_norm_in_scaled_columns():
     A, rows = make_gram(2, dependent=True)
     eigen = scaled_eigen(A)
     scaled = rows / eigen.scale
@@ -43,7 +43,7 @@ def test_singular_is_the_least_norm_in_scaled_columns():
     )
     unit = np.outer(UNITS, UNITS)
     assert_allclose(eigen.matrix() / unit, A / unit, atol=1e-10)
-    # The dependency, in scaled coordinates: columns 0, 2 and 4 and no other.
+    # The dependency, in scaled coordinates: columns 0, 2 and 4 only.
     assert eigen.null_space.shape == (5, 1)
     assert_allclose(scaled @ eigen.null_space, 0.0, atol=1e-7)
     assert_array_equal(eigen.lost(1e-6), [True, False, True, False, True])

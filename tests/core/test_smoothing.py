@@ -1,4 +1,4 @@
-"""The penalised spline: what it keeps, what it damps, and the cut-off it chooses."""
+"""The penalised spline: gain, units and the chosen cut-off."""
 
 import numpy as np
 import pytest
@@ -41,8 +41,8 @@ def test_gain_in_mid_recording(dt, cutoff, share):
         assert_allclose(expected, 0.5, rtol=1e-12)
     # The ends are twenty periods of the cut-off away, and knots lie between samples.
     assert_allclose(x, expected, rtol=1e-4)
-    # A quintic spline's own derivatives are right for eight samples in a period,
-    # 4 % off for three.
+    # Derivatives of a quintic spline are accurate for eight samples in a period, and
+    # wrong by 4 % for three.
     if dt * frequency < 0.15:
         assert_allclose(v / w, expected, rtol=2e-3)
         assert_allclose(-a / w**2, expected, rtol=4e-3)
@@ -80,16 +80,16 @@ def choose(x, dt):
 
 @pytest.mark.parametrize("dt", [0.01, 0.002])
 @pytest.mark.parametrize("noise", [1e-4, 3e-3])
-def test_chosen_cutoff_is_nearly_that_of_an_oracle(noise, dt):
+def test_chosen_cutoff_is_close_to_an_oracle(noise, dt):
     position, acceleration = make_motion(3, dt)
     rng = np.random.default_rng(103)
     x = position + noise * rng.normal(size=position.size)
-    # The two seconds at each end have errors of their own, which no choice knows of.
+    # The two seconds at each end have additional errors, which the choice neglects.
     inner = slice(len(x) // 10, -len(x) // 10)
 
     def error(cutoff):
-        wrong = smooth(x, dt, cutoff)[2] - acceleration
-        return np.sqrt(np.mean(wrong[inner] ** 2))
+        difference = smooth(x, dt, cutoff)[2] - acceleration
+        return np.sqrt(np.mean(difference[inner] ** 2))
 
     chosen, _ = choose(x, dt)
     candidates = np.geomspace(1.0, 1 / (3 * dt), 20)

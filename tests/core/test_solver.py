@@ -1,4 +1,4 @@
-"""The loop: where it starts, when it stops, and what it reports."""
+"""The solver: start, stopping and status."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ def make_standardised(seed, n_features, n_samples=200, noise=0.4):
 
 
 def solve_plainly(moments, state, prior, *, max_iter, tol):
-    """Plain updates, one after the other."""
+    """Solve by plain updates, without acceleration."""
     problem = _solver.IndependentProblem(moments, prior)
     steps = _solver.PlainSteps(problem, tol)
     return _solver.climb(steps, problem.evaluate(state), max_iter)
@@ -31,10 +31,10 @@ SOLVERS = [_solver.solve, solve_plainly]
 
 
 class FailingMoments:
-    """Moments whose product with S_xx is wrong after some calls."""
+    """Moments with a wrong product with S_xx after some calls."""
 
     def __init__(self, moments, n_right):
-        self.moments, self.left = moments, n_right
+        self.moments, self.remaining = moments, n_right
         self.n, self.xx = moments.n, moments.xx
         self.xy, self.yy, self.rest = moments.xy, moments.yy, moments.yy
 
@@ -43,14 +43,14 @@ class FailingMoments:
 
     def residual(self, c):
         """Return S_xe and S_ee, or those for three times S_xx."""
-        self.left -= 1
-        wrong = 0.0 if self.left >= 0 else 2.0
+        self.remaining -= 1
+        wrong = 0.0 if self.remaining >= 0 else 2.0
         S_xe, S_ee = self.moments.residual(c)
         S_c = self.moments.S @ c
         return S_xe - wrong * S_c, S_ee + wrong * c @ S_c
 
 
-def test_start_is_the_documented_one():
+def test_start_is_as_documented():
     moments, X, y = make_standardised(0, 4)
     prior = _problems.make_prior("paper", 200, 4)
     share = np.array([0.1, 0.2, 0.3, 0.4])
@@ -67,21 +67,21 @@ def test_start_is_the_documented_one():
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_acceleration_ends_where_the_plain_iteration_does(model):
+def test_acceleration_converges_to_the_plain_solution(model):
     moments, _, _ = make_standardised(1, 4)
     prior = _problems.make_prior(model, 200, 4)
     state = _solver.start(moments, prior, np.full(4, 0.3))
     if model != "jfa":
-        # Where the bound would creep for ever, as psi_y goes to zero.
+        # Here the bound would increase slowly for ever, as psi_y goes to zero.
         state = replace(state, psi_y=1e-9)
     options = {"max_iter": 5000, "tol": 1e-12}
     plain = solve_plainly(moments, state, prior, **options)
     fast = _solver.solve(moments, state, prior, **options)
     assert plain.status == fast.status == "converged"
-    # The plain steps end short of the optimum: 1e-12 n per step over as many steps
-    # as it had taken, at a linear rate.
+    # The plain steps stop before the optimum: 1e-12 n per step over as many steps
+    # as were taken, at a linear rate.
     assert fast.history[-1] >= plain.history[-1] - 1e-12 * 200 * plain.n_iter
-    # A gain of 1e-12 per sample and step, of a quadratic in the coefficients.
+    # A gain of 1e-12 per sample and step; the bound is quadratic in the coefficients.
     assert_allclose(
         _updates.coefficients_noisy(fast.state),
         _updates.coefficients_noisy(plain.state),
@@ -103,11 +103,11 @@ def test_stops_when_the_gain_per_sample_is_small(solve):
 
 @pytest.mark.parametrize("solve", SOLVERS)
 @pytest.mark.parametrize("n_right", [2, 6])
-def test_a_fall_of_the_bound_stops_and_keeps_the_state_before(solve, n_right):
+def test_a_decreasing_bound_stops_at_the_last_state(solve, n_right):
     moments, _, _ = make_standardised(5, 3)
     state = _solver.start(moments, Prior(), np.full(3, 0.3))
-    wrong = FailingMoments(moments, n_right)
-    solution = solve(wrong, state, Prior(), max_iter=100, tol=1e-12)
+    failing = FailingMoments(moments, n_right)
+    solution = solve(failing, state, Prior(), max_iter=100, tol=1e-12)
     assert solution.status == "bound_decreased"
     assert solution.fall > 1.0
     assert np.diff(solution.history).min() >= 0

@@ -1,4 +1,4 @@
-"""The explicit end of EM: least squares, fixed under EM, and above all it reaches."""
+"""The explicit maximum of EM: least squares, a fixed point, and never exceeded."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def value(moments, state, prior):
 
 @pytest.mark.parametrize("correlation", [0.0, 1.0, 30.0])
 @pytest.mark.parametrize("noise", [None, 0.0, 1e-3, 0.3])
-def test_em_cannot_leave_it_and_stays_below(noise, correlation):
+def test_em_stays_at_the_maximum_and_below_it(noise, correlation):
     moments = moments_of(0, 4, correlation=correlation)
     fixed = None if noise is None else np.full(4, max(noise, np.finfo(float).eps))
     prior = Prior(psi_x_fixed=fixed)
@@ -34,7 +34,7 @@ def test_em_cannot_leave_it_and_stays_below(noise, correlation):
     c = np.linalg.solve(moments.S, moments.xy)
     s = moments.residual(c)[1] / moments.n
     if noise is not None and c**2 @ fixed / (1 - noise) > s:
-        # Known noise that implies more output noise than there is.
+        # Known input noise that implies too much output noise.
         assert state is None
         return
     top = value(moments, state, prior)
@@ -42,30 +42,30 @@ def test_em_cannot_leave_it_and_stays_below(noise, correlation):
     for _ in range(20):
         new, reached = _problems.iterate(moments, new, prior)
     assert reached == pytest.approx(top, rel=0, abs=1e-9 * abs(top))
-    # EM's own way up, from the same start and for long, does not get above it.
+    # EM from the same start does not exceed it in many iterations.
     long = solve_plainly(moments, start, prior, max_iter=500, tol=0.0)
     assert long.history[-1] <= top + 1e-9 * abs(top)
     assert_allclose(_updates.coefficients_noisy(state), c, rtol=1e-6)
-    # What is known stays, signs stay, and variances are variances.
+    # Known noise and signs are kept, and variances are positive.
     if noise is not None:
         assert_allclose(state.psi_x, fixed)
     assert (state.w_x_mean > 0).all()
     assert min(state.psi_y, state.psi_z.min(), state.psi_x.min()) > 0
 
 
-def test_split_that_makes_too_much_noise_is_lowered_by_one_factor():
+def test_excessive_input_noise_is_reduced_by_one_factor():
     moments = moments_of(1, 4, correlation=30.0)
     start = _problems.make_state(0, 4, ard=False)
     state = at_highest_likelihood(moments, start, Prior())
     factors = (state.psi_x / state.w_x_mean**2) / (start.psi_x / start.w_x_mean**2)
     assert_allclose(factors, factors[0], rtol=1e-9)
     assert factors[0] < 0.5
-    # The same share of the output noise comes through the inputs as before.
+    # The share of the output noise that comes from the inputs is unchanged.
     shares = []
     for one in (start, state):
         V = one.psi_x + one.w_x_mean**2
-        through = _updates.coefficients_noisy(one) ** 2 @ (
+        via_inputs = _updates.coefficients_noisy(one) ** 2 @ (
             V * one.psi_x / (V - one.psi_x)
         )
-        shares.append(through / (through + one.psi_y + one.psi_z.sum()))
+        shares.append(via_inputs / (via_inputs + one.psi_y + one.psi_z.sum()))
     assert shares[0] == pytest.approx(shares[1], rel=1e-9)

@@ -1,4 +1,4 @@
-"""Splines of motions that they keep, and of joints that stand still."""
+"""Splines of unpenalised motions and of joints at rest."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from sklearn_vbjfa._core import _smoothing
 @pytest.mark.parametrize(("dt", "cutoff"), [(0.002, 15.0), (0.01, 4.0), (0.004, 6.1)])
 @pytest.mark.parametrize("n", [101, 618])
 @pytest.mark.parametrize("shift", [0, 1])
-def test_halves_are_known_at_all_samples(n, dt, cutoff, shift):
-    # Half of the rows lie between the samples, up to one beyond either end.
+def test_every_second_row_gives_all_samples(n, dt, cutoff, shift):
+    # Half of the rows are between the samples, up to one row beyond each end.
     u = np.linspace(-1.0, 1.0, n)
     powers = np.array([0.5, -0.3, 1.0, 0.2])
     samples = np.polyval(powers, u)[shift::2]
@@ -26,9 +26,9 @@ def test_halves_are_known_at_all_samples(n, dt, cutoff, shift):
 @pytest.mark.parametrize(
     ("dt", "cutoff"), [(0.008, 8.0), (0.002, 3.0), (0.008, np.inf)]
 )
-def test_motions_that_no_penalty_touches_keep_all_digits(dt, cutoff):
-    # Of fourth degree: the fifth differences of the coefficients are zero, and so is
-    # the sum of squared residuals, whatever the cut-off.
+def test_unpenalised_motions_keep_all_digits(dt, cutoff):
+    # For degree four, the fifth differences of the coefficients and the residuals are
+    # zero for any cut-off.
     n = 2000
     u = np.linspace(-1.0, 1.0, n)
     powers = np.array([0.3, -0.8, 0.5, 1.0, -0.7])
@@ -37,8 +37,8 @@ def test_motions_that_no_penalty_touches_keep_all_digits(dt, cutoff):
     size = np.abs(spline.coef).max()
     for order in range(3):
         expected = np.polyval(np.polyder(powers, order), u) * unit**order
-        # Rounding of a coefficient, differentiated: some eps over the powers of h.
-        # At free ends the penalty of interpolation is 1e-9, of which the root counts.
+        # Rounding of a coefficient, differentiated: a few eps over the powers of h.
+        # At free ends the penalty of interpolation is 1e-9, with an effect of its root.
         atol = 16 * np.finfo(float).eps * size * (2 / spline.h) ** order
         inner = slice(40, -40) if np.isinf(cutoff) else slice(None)
         assert_allclose(spline(0, n, order)[inner], expected[inner], rtol=0, atol=atol)
@@ -46,8 +46,8 @@ def test_motions_that_no_penalty_touches_keep_all_digits(dt, cutoff):
 
 @pytest.mark.parametrize("cutoff", [8.0, 20.0, np.inf])
 @pytest.mark.parametrize("seed", range(3))
-def test_signs_of_velocities_are_not_those_of_rounding(cutoff, seed):
-    # An encoder that reads the same for seconds between motions.
+def test_signs_of_velocities_do_not_depend_on_rounding(cutoff, seed):
+    # The encoder reading is constant for seconds between motions.
     t = 0.008 * np.arange(5000)
     q = 2.0 + np.sin(np.pi * np.clip(t % 8.0 - 3.0, 0.0, 2.0)) ** 3
     q = np.round(q / 1e-4) * 1e-4

@@ -12,22 +12,22 @@ from tests.core import _problems
 from tests.core._problems import ARD_RATE, ARD_SHAPE
 from tests.reference import paper_jfa as ref
 
-# d, N and seed: one input, few, many; fewer samples than features too.
+# d, N and seed: one, few and many inputs; also fewer samples than features.
 SIZES = [(1, 25, 0), (2, 7, 1), (3, 40, 2), (5, 25, 3), (6, 4, 4)]
 
-# Both sides are sums of some 1e3 terms of size 1: 1e-10 leaves a factor of 1e3 for
-# the condition of the reference's inverses.
+# Both sides are sums of about 1e3 terms of size 1: 1e-10 leaves a factor of 1e3 for
+# the condition of the inverses in the reference.
 ONE_STEP = 1e-10
 
 
 def assert_same_posterior(state, params, rtol):
-    """Every parameter of the reference equals that of the state."""
+    """Compare every parameter of the reference with the state."""
     for field in fields(params):
         expected = getattr(params, field.name)
-        ours = getattr(
+        found = getattr(
             state, {"w_z": "w_z_mean", "w_x": "w_x_mean"}.get(field.name, field.name)
         )
-        assert_allclose(ours, expected, rtol=rtol, err_msg=field.name)
+        assert_allclose(found, expected, rtol=rtol, err_msg=field.name)
 
 
 @pytest.mark.parametrize(("n_features", "n_samples", "seed"), SIZES)
@@ -52,7 +52,7 @@ def test_vb_iteration(n_features, n_samples, seed):
     assert_allclose(value, ref.elbo(params, X, y, ARD_SHAPE, ARD_RATE), rtol=ONE_STEP)
 
 
-def test_uncoupled_precision_sees_the_output_loading_alone():
+def test_uncoupled_precision_uses_the_output_loading_only():
     X, y, _ = _problems.make_data(2, 3)
     state = _problems.make_state(2, 3, coupled=False)
     prior = _problems.make_prior("noise", 25, 3)
@@ -65,11 +65,11 @@ def test_uncoupled_precision_sees_the_output_loading_alone():
 
 
 def expected_log_joint(psi_x, new, posterior, prior, X, y):
-    """Terms with psi_x of the bound at the old q(Z, T), from the transcription."""
+    """Terms of the bound with psi_x at the old q(Z, T), from the transcription."""
     moments = {**_problems.as_vb_params(new).moments(), "psi_x": psi_x}
     data = sum(ref.data_terms(X, y, posterior, **moments).values())
     ratio = prior.psi_x_mode / psi_x
-    # Log-density of log(psi_x) when psi_x is inverse-gamma, up to its constant.
+    # Log-density of log(psi_x) for inverse-gamma psi_x, up to a constant.
     return data + 0.5 * prior.psi_x_weight * (np.log(ratio) - ratio).sum()
 
 
@@ -113,6 +113,6 @@ def test_coefficients_equal_the_literal_matrices(seed):
     noisy = ref.beta_noise_eq27(state.w_z_mean, state.w_x_mean, *args, state.psi_x)
     noiseless = ref.beta_true_eq29(state.w_z_mean, state.w_x_mean, *args)
     assert_allclose(_updates.coefficients_noisy(state), noisy, rtol=1e-10)
-    everything = np.ones(5, dtype=bool)
-    ours = _updates.coefficients_noiseless(state, everything)
-    assert_allclose(ours, noiseless, rtol=1e-10)
+    active = np.ones(5, dtype=bool)
+    found = _updates.coefficients_noiseless(state, active)
+    assert_allclose(found, noiseless, rtol=1e-10)

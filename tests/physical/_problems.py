@@ -1,4 +1,4 @@
-"""Random robots, metrics and an independent convex solver: the tests' oracle."""
+"""Random robots and metrics, and an independent convex solver as an oracle."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ def point_masses(rng, n_points=8, *, spread=0.3, mass=1.0):
 
 
 def parameters_of(points, masses):
-    """Ten parameters summed point by point from the definition of each."""
+    """Sum the ten parameters over points, from their definitions."""
     phi = np.zeros(10)
     for r, m in zip(points, masses):
         inertia = m * (r @ r * np.eye(3) - np.outer(r, r))
@@ -67,9 +67,9 @@ def literal_matrix(phi, constraint):
 
 
 def cvxopt_projection(theta, matrix, constraint, starts, nonnegative, floor=0.0):
-    """Solve the projection by cvxopt's cone QP: an independent optimum.
+    """Solve the projection by the cone QP of cvxopt, an independent optimum.
 
-    `floor` is the least eigenvalue of each body's matrix (units of 1 kg and 1 m).
+    `floor` is the minimum eigenvalue of each body's matrix (units of 1 kg and 1 m).
     """
     dense = pytest.importorskip("cvxopt").matrix
     solvers = pytest.importorskip("cvxopt.solvers")
@@ -100,9 +100,9 @@ def cvxopt_projection(theta, matrix, constraint, starts, nonnegative, floor=0.0)
         "maxiters": 60,
     }
     scale = 1.0
-    # cvxopt measures its gap absolutely: the second solve has an optimum near one.
+    # cvxopt uses an absolute gap: the second solve has an optimum near one.
     for _ in range(2):
-        answer = solvers.coneqp(
+        solution = solvers.coneqp(
             dense(matrix / scale),
             dense(np.zeros(n)),
             dense(np.vstack(G)),
@@ -110,7 +110,7 @@ def cvxopt_projection(theta, matrix, constraint, starts, nonnegative, floor=0.0)
             {"l": len(nonnegative), "q": [], "s": [size] * len(starts)},
             options=options,
         )
-        delta = np.array(answer["x"]).ravel()
+        delta = np.array(solution["x"]).ravel()
         squared = float(delta @ matrix @ delta)
         scale = squared
     return theta + delta, squared

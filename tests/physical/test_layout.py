@@ -1,4 +1,4 @@
-"""Layout of the parameter vector: by its length, as given, and by names."""
+"""Layout of the parameter vector: by length, explicit, and by names."""
 
 import numpy as np
 import pytest
@@ -16,11 +16,11 @@ def layout(n_features, names=None, **options):
 
 
 @pytest.mark.parametrize(
-    ("n_features", "starts", "kept"),
+    ("n_features", "starts", "nonnegative"),
     [(10, [0], []), (70, range(0, 70, 10), []), (33, [0, 11, 22], [10, 21, 32])],
 )
-def test_the_length_gives_ten_or_eleven_columns_a_joint(n_features, starts, kept):
-    assert layout(n_features) == (list(starts), kept)
+def test_the_length_gives_the_layout(n_features, starts, nonnegative):
+    assert layout(n_features) == (list(starts), nonnegative)
 
 
 @pytest.mark.parametrize(("n_features", "names"), [(24, None), (12, ["a"])])
@@ -29,15 +29,15 @@ def test_wrong_layouts_are_refused(n_features, names):
         layout(n_features, names)
 
 
-def named(*joints):
-    """Names of the columns of joints, each given with its extra columns."""
+def names_of(*joints):
+    """Column names of joints, each a pair of name and extra columns."""
     names = []
     for joint, extras in joints:
         names += [f"{joint}:{name}" for name in (*INERTIAL_NAMES, *extras)]
     return names
 
 
-def test_what_is_given_goes_before_names():
-    names = named(("a", ("viscous", "offset")), ("b", ("viscous", "offset")))
+def test_explicit_columns_take_precedence_over_names():
+    names = names_of(("a", ("viscous", "offset")), ("b", ("viscous", "offset")))
     assert layout(24, names) == ([0, 12], [10, 22])
     assert layout(24, names, body_starts=[12], nonnegative=[11]) == ([12], [11])

@@ -19,7 +19,7 @@ constraints = st.sampled_from(["pseudo-inertia", "eq30"])
 properties = settings(derandomize=True, deadline=None, max_examples=15)
 
 FLAT = np.array([2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3])
-# Mass, lengths and squares of these are in the ten parameters of a body.
+# Powers of length in the units of the ten parameters of a body.
 POWERS = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
 
 
@@ -29,7 +29,7 @@ def project(theta, metric=None, constraint="pseudo-inertia", **options):
 
 
 def inconsistent_robot(rng, n_bodies, n_extra=1, noise=0.5):
-    """Robot whose parameters were spoiled by noise of the order of their size."""
+    """Robot with noise of the order of its parameters added to them."""
     theta = robot(rng, n_bodies, n_extra)
     return theta + noise * rng.normal(size=theta.size) * (np.abs(theta) + 0.2)
 
@@ -54,27 +54,27 @@ def test_free_columns_keep_their_sign():
     rng = np.random.default_rng(0)
     theta = inconsistent_robot(rng, 2, n_extra=3)
     theta[[11, 24]] = -2.0
-    kept = [10, 12, 23, 25]
-    theta[kept] = -1.0
-    result = project(theta, body_starts=[0, 13], nonnegative=kept)
+    nonnegative = [10, 12, 23, 25]
+    theta[nonnegative] = -1.0
+    result = project(theta, body_starts=[0, 13], nonnegative=nonnegative)
     np.testing.assert_allclose(result[[11, 24]], -2.0, rtol=1e-6)
-    assert (result[kept] >= 0).all()
+    assert (result[nonnegative] >= 0).all()
 
 
-def pull_of_the_anchor(A, rank, weight=1e-10):
-    """Matrix of the pull on what a metric of given rank does not see; None is all.
+def anchor_weight(A, rank, weight=1e-10):
+    """Weight of the anchor in the null space of a metric; rank None: full rank.
 
-    Written down from the documentation, for bodies in units of their own.
+    Transcribed from the documentation, for bodies in scaled units.
     """
     if rank is None:
         return np.zeros_like(A)
-    diagonal, kept = np.diag(A), np.arange(10, len(A), 11)
-    largest = diagonal[np.setdiff1d(np.arange(len(A)), kept)].max()
+    diagonal, nonnegative = np.diag(A), np.arange(10, len(A), 11)
+    largest = diagonal[np.setdiff1d(np.arange(len(A)), nonnegative)].max()
     units = np.ones(len(A))
-    units[kept] = np.sqrt(largest / diagonal[kept])
+    units[nonnegative] = np.sqrt(largest / diagonal[nonnegative])
     _, basis = np.linalg.eigh(A * np.outer(units, units))
-    hidden = basis[:, : len(A) - rank] / units[:, None]
-    return weight * largest * hidden @ hidden.T
+    null_space = basis[:, : len(A) - rank] / units[:, None]
+    return weight * largest * null_space @ null_space.T
 
 
 conditionings = st.sampled_from(
@@ -94,15 +94,15 @@ def test_objective_is_the_optimum_of_an_independent_solver(
     A = metric(rng, theta.size, condition, rank)
     starts, kept = np.arange(0, theta.size, 11), np.arange(10, theta.size, 11)
     result = project(theta, A, constraint, margin=1e-6)
-    # The margin counts in units of the bodies.
+    # The margin is in scaled units of the bodies.
     mass, length = body_scales(theta[None, starts[:, None] + np.arange(10)])
     units = np.ones((n_bodies, 11))
     units[:, :10] = mass[:, None] * length[:, None] ** POWERS
     units = units.ravel()
-    # The documented pull, in its documented units, so that both have the same unique
+    # With the documented anchor, in the documented units, both have the same unique
     # minimum.
     full = A * np.outer(units, units)
-    full = full + pull_of_the_anchor(full, rank)
+    full = full + anchor_weight(full, rank)
     _, optimum = cvxopt_projection(theta / units, full, constraint, starts, kept, 1e-6)
     delta = (result - theta) / units
     reached = delta @ full @ delta
@@ -110,13 +110,13 @@ def test_objective_is_the_optimum_of_an_independent_solver(
         assert optimum <= 1e-12
         return
     assert reached == pytest.approx(optimum, rel=1e-6)
-    # The certified gap, and what the oracle is off by.
+    # The certified gap, and the error of the oracle.
     assert reached <= optimum * (1 + 1e-9 + 1e-7)
 
 
 @properties
 @given(seeds, constraints)
-def test_consistent_vector_comes_back_bit_for_bit(seed, constraint):
+def test_a_consistent_vector_is_returned_unchanged(seed, constraint):
     rng = np.random.default_rng(seed)
     theta = robot(rng, 3)
     result = project(
@@ -140,17 +140,17 @@ def test_a_nearly_massless_anchor_does_not_outweigh_the_metric(seed):
     assert distances[1] == pytest.approx(distances[0], rel=1e-3)
 
 
-def test_rounding_of_a_singular_regression_is_dropped_with_a_warning():
+def test_rounding_of_a_singular_regression_is_removed_with_a_warning():
     rng = np.random.default_rng(6)
     theta = inconsistent_robot(rng, 3)
     basis, _ = np.linalg.qr(rng.normal(size=(33, 33)))
     A = basis[:, :20] @ basis[:, :20].T
     clean = project(basis[:, :20] @ basis[:, :20].T @ theta, A)
-    spoiled = theta + 1e9 * basis[:, 20:] @ rng.normal(size=13)
+    disturbed = theta + 1e9 * basis[:, 20:] @ rng.normal(size=13)
     with pytest.warns(UserWarning, match="rounding of a singular regression"):
-        result = project(spoiled, A)
+        result = project(disturbed, A)
     assert np.abs(result).max() < 1e2
-    # The spoiled vector itself is only known to 1e9 times the machine precision.
+    # The disturbed vector is only known to 1e9 times the machine precision.
     np.testing.assert_allclose(A @ result, A @ clean, rtol=0, atol=1e-3)
 
 
@@ -180,6 +180,6 @@ INDEFINITE[0, 1] = INDEFINITE[1, 0] = 2.0
         ({"theta": np.where(np.arange(10) == 3, np.nan, FLAT)}, "NaN"),
     ],
 )
-def test_wrong_arguments_are_named(options, name):
+def test_invalid_arguments_are_named(options, name):
     with pytest.raises(ValueError, match=name):
         project(**{"theta": FLAT, **options})

@@ -62,7 +62,7 @@ def test_constraint_matrix_is_the_literal_one(constraint):
     np.testing.assert_allclose(constraint_matrix(phi, constraint), literal, atol=1e-15)
 
 
-def test_triangle_inequality_tells_the_two_sets_apart():
+def test_triangle_inequality_distinguishes_the_two_sets():
     phi = [2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3]
     assert is_consistent(phi, "eq30")
     assert not is_consistent(phi, "pseudo-inertia")
@@ -101,8 +101,8 @@ def test_body_scales_do_not_depend_on_the_frame():
     rng = np.random.default_rng(3)
     points, masses = point_masses(rng)
     rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    turned = parameters_of(points @ rotation.T, masses)
-    straight = parameters_of(points, masses)
+    rotated = parameters_of(points @ rotation.T, masses)
+    original = parameters_of(points, masses)
     np.testing.assert_allclose(
-        body_scales([turned]), body_scales([straight]), rtol=1e-12
+        body_scales([rotated]), body_scales([original]), rtol=1e-12
     )

@@ -1,4 +1,4 @@
-"""One thread for the linear algebra: while it is held, and only then."""
+"""One thread for the linear algebra, only during a projection."""
 
 from contextlib import contextmanager
 
@@ -12,21 +12,21 @@ FLAT = [2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3]
 
 
 class Library:
-    """A BLAS whose number of threads belongs to the process."""
+    """A BLAS with one number of threads for the process."""
 
     def __init__(self):
         self.n_threads = 2
-        self.seen = []
+        self.limits = []
 
     @contextmanager
     def limit(self, *, limits, user_api):
         assert user_api == "blas"
-        found, self.n_threads = self.n_threads, limits
-        self.seen.append(limits)
+        before, self.n_threads = self.n_threads, limits
+        self.limits.append(limits)
         try:
             yield
         finally:
-            self.n_threads = found
+            self.n_threads = before
 
 
 @pytest.fixture
@@ -36,12 +36,12 @@ def library(monkeypatch):
     return library
 
 
-def test_projection_holds_the_limit_and_gives_it_back_even_when_it_fails(
+def test_projection_limits_threads_and_restores_them_even_on_failure(
     library, monkeypatch
 ):
     projector = PhysicalProjector()
     projector.fit_transform([FLAT])
-    assert set(library.seen) == {1}
+    assert set(library.limits) == {1}
     assert library.n_threads == 2
     monkeypatch.setattr(_solver, "_MAX_STEPS", 1)
     with pytest.raises(ProjectionError):
@@ -49,7 +49,7 @@ def test_projection_holds_the_limit_and_gives_it_back_even_when_it_fails(
     assert library.n_threads == 2
 
 
-def test_real_libraries_are_held():
+def test_real_libraries_are_limited():
     def threads():
         return [x["num_threads"] for x in threadpool_info() if x["user_api"] == "blas"]
 

@@ -1,1 +1,1 @@
-"""Literal transcriptions that the package is tested against."""
+"""Literal transcriptions, the reference for tests of the package."""

@@ -2,16 +2,16 @@
 
 J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification with input
 and output noise", Neural Networks (2011). Sections 3 and 4, equation by equation,
-with loops over samples and dense matrices, so that each line can be read beside the
-paper. It imports nothing from the package: it is what the package is tested against.
+with loops over samples and dense matrices, so that each line can be compared with the
+paper. It is the reference for tests of the package and imports nothing from it.
 
 The data are centred, there is no intercept:
 
     y = sum_m z_m + eps_y,  z_m = w_zm t_m + eps_zm,  x_m = w_xm t_m + eps_xm,
     t_m ~ Normal(0, 1)
 
-A function whose name ends in ``_printed`` is a formula as the paper prints it, kept so
-that a test can show it to be false.
+Functions whose names end in ``_printed`` are misprinted formulas of the paper, which
+tests show to be false.
 """
 
 from dataclasses import dataclass, replace
@@ -64,7 +64,7 @@ class VBParams:
     psi_x: np.ndarray
 
     def moments(self):
-        """Arguments of the E-step over Z and T, which does not see alpha."""
+        """Arguments of the E-step over Z and T, which does not depend on alpha."""
         return {k: v for k, v in vars(self).items() if not k.startswith("alpha")}
 
 
@@ -195,7 +195,7 @@ def condition_gaussian(Sigma, hidden, observed):
 
 
 def sample_sums(posterior, X, y):
-    """Sum over samples what eqs. 8-16 use; each is (n_features,) or scalar."""
+    """Sum over samples for eqs. 8-16; each is (n_features,) or scalar."""
     n_samples, n_features = X.shape
     one = np.ones(n_features)
     S_zz, S_zt, S_tt, S_xt, S_xx = (np.zeros(n_features) for _ in range(5))
@@ -319,7 +319,7 @@ def vb_step(params, X, y, ard_shape, ard_rate):
 def data_terms(
     X, y, posterior, *, w_z_mean, w_z_var, w_x_mean, w_x_var, psi_y, psi_z, psi_x
 ):
-    """Terms of the bound that hold the samples, with the entropy of q(Z, T)."""
+    """Terms of the bound that depend on the samples, with the entropy of q(Z, T)."""
     n_samples, n_features = X.shape
     one = np.ones(n_features)
     log_p_y, log_p_z, log_p_x, log_p_t, entropy_zt = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -360,7 +360,7 @@ def data_terms(
 
 
 def prior_terms(params, ard_shape, ard_rate):
-    """Terms of the bound that hold w_z, w_x and alpha, with their entropies."""
+    """Prior terms of the bound for w_z, w_x and alpha, with their entropies."""
     log_p_w_z, log_p_w_x, log_p_alpha = 0.0, 0.0, 0.0
     entropy_w_z, entropy_w_x, entropy_alpha = 0.0, 0.0, 0.0
     for m in range(len(params.w_z_mean)):
@@ -413,7 +413,7 @@ def elbo_eq5_printed(params, X, y, ard_shape, ard_rate, posterior=None):
 
 
 def elbo_eq6_printed(params, X, y, ard_shape, ard_rate, posterior=None):
-    """Bound with eq. 6 as printed: p(alpha_m) beside each of the two loadings."""
+    """Bound with eq. 6 as printed: p(alpha_m) once for each of the two loadings."""
     terms = elbo_terms(params, X, y, ard_shape, ard_rate, posterior)
     return sum(terms.values()) + terms["log_p_alpha"]
 
@@ -436,9 +436,9 @@ def jfa_loglik(params, X, y):
 
 
 def beta_noise_eq27(w_z, w_x, psi_y, psi_z, psi_x, *, w_z_var=None, w_x_var=None):
-    """Coefficients for noisy queries; the paper puts point estimates for <W'W>.
+    """Coefficients for noisy queries; the paper uses point estimates for <W'W>.
 
-    With ``w_z_var`` and ``w_x_var`` the angle brackets are read as second moments.
+    With ``w_z_var`` and ``w_x_var`` the angle brackets are second moments.
     """
     n_features = len(w_z)
     one = np.ones(n_features)
@@ -470,7 +470,7 @@ def beta_jfa_eq28(w_z, w_x, psi_x):
 
 
 def beta_jfa_eq28_printed(w_z, w_x, psi_x):
-    """Eq. 28 as printed: one W_x too many in A_JFA."""
+    """Eq. 28 as printed: A_JFA has an additional W_x."""
     W_z, W_x = np.diag(w_z), np.diag(w_x)
     Psi_x_inv = np.linalg.inv(np.diag(psi_x))
     A_jfa = np.eye(len(w_z)) + W_x.T @ W_x @ Psi_x_inv @ W_x  # [eq. 28]

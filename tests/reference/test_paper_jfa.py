@@ -1,4 +1,4 @@
-"""The reference against oracles that do not share its formulas, and the misprints."""
+"""The reference against oracles with other formulas, and misprints of the paper."""
 
 from dataclasses import replace
 from functools import partial
@@ -53,7 +53,7 @@ def make_vb_params(seed, n_features):
 
 
 def with_posterior(seed, n_features):
-    """Return data, parameters, and q(Z, T) of both."""
+    """Return data, parameters, and the q(Z, T) that follows from them."""
     X, y = make_data(seed, n_features)
     params = make_vb_params(seed, n_features)
     return X, y, params, ref.posterior_zt(X, y, **params.moments())
@@ -69,11 +69,11 @@ def assert_same_posterior(actual, desired, rtol=1e-9):
 
 
 def condition_on_pseudo_observation(params, X, y):
-    """Oracle for q(Z, T) with uncertain loadings, and for its share of the bound.
+    """Oracle for q(Z, T) with uncertain loadings, and for its part of the bound.
 
     The variances of w_z and w_x add -t^2 (w_z_var / psi_z + w_x_var / psi_x) / 2 to the
     exponent. A pseudo-observation u_m = 0 with u_m | t_m ~ Normal(c_m t_m, 1) adds the
-    same, up to sqrt(2 pi), so the answer is a conditional of one dense Gaussian.
+    same, up to sqrt(2 pi), so q(Z, T) is a conditional of one dense Gaussian.
     """
     n_samples, n_features = X.shape
     point = ref.JFAParams(
@@ -90,12 +90,12 @@ def condition_on_pseudo_observation(params, X, y):
     Sigma = lift @ ref.joint_covariance(point) @ lift.T
     Sigma[n_joint:, n_joint:] += np.eye(n_features)
     t, z = np.arange(n_features), np.arange(n_features, 2 * n_features)
-    seen = np.arange(2 * n_features, n_joint + n_features)
-    gain, cov = ref.condition_gaussian(Sigma, np.concatenate([z, t]), seen)
+    observed = np.arange(2 * n_features, n_joint + n_features)
+    gain, cov = ref.condition_gaussian(Sigma, np.concatenate([z, t]), observed)
     values = np.column_stack([X, y, np.zeros((n_samples, n_features))])
     means = values @ gain.T
     log_density = stats.multivariate_normal.logpdf(
-        values, np.zeros(len(seen)), Sigma[np.ix_(seen, seen)]
+        values, np.zeros(len(observed)), Sigma[np.ix_(observed, observed)]
     )
     posterior = ref.Posterior(
         E_z=means[:, :n_features],
@@ -139,7 +139,7 @@ def test_eq19_printed_is_false():
     )
     assert_allclose(printed.Sigma_zt, -dense.Sigma_zt, rtol=1e-9)
     assert np.abs(dense.Sigma_zt).min() > 1e-3
-    # Eq. 24 holds Sigma_tz written out, with the plus sign that eq. 19 lacks.
+    # Eq. 24 contains Sigma_tz written out, with the correct plus sign.
     assert_allclose(printed.E_t, dense.E_t, rtol=1e-9)
     assert np.abs(printed.E_z - dense.E_z).max() > 0.1
 
@@ -189,7 +189,7 @@ def test_em_step_is_stationary(name):
 
 # -- The variational bound -------------------------------------------------------------
 
-# Unlike the paper's 1e-6, a prior that the data do not drown: its terms matter.
+# A stronger prior than the paper's 1e-6, so that its terms matter.
 ARD = {"ard_shape": 1.5, "ard_rate": 0.7}
 LOG_SCALE = {"w_z_var", "w_x_var", "alpha_shape", "alpha_rate"}
 
@@ -253,7 +253,7 @@ def test_posterior_zt_maximises_the_bound(n_features):
             for moved in (step, -step)
         ]
         assert max(values) < top
-        # A maximum: the two falls agree to first order.
+        # A maximum: both decreases agree to first order.
         assert abs(values[0] - values[1]) < 0.1 * (2 * top - sum(values))
 
 
@@ -268,7 +268,7 @@ BLOCKS = {
 
 
 def update_block(block, params, posterior, X, y, ard_shape, ard_rate):
-    """Params after one block's update, the others as they were."""
+    """Update one block of parameters and keep the others."""
     E_alpha = params.alpha_shape / params.alpha_rate
     w_z = {"w_z_mean": params.w_z_mean, "w_z_var": params.w_z_var}
     w_x = {"w_x_mean": params.w_x_mean, "w_x_var": params.w_x_var}
@@ -289,7 +289,7 @@ def update_block(block, params, posterior, X, y, ard_shape, ard_rate):
 
 @pytest.mark.parametrize("block", BLOCKS)
 @pytest.mark.parametrize("n_features", [1, 3])
-def test_each_block_is_stationary(n_features, block):
+def test_each_block_update_is_stationary(n_features, block):
     X, y, params, posterior = with_posterior(3, n_features)
     objective = partial(ref.elbo, X=X, y=y, **ARD, posterior=posterior)
     new = update_block(block, params, posterior, X, y, **ARD)
@@ -317,10 +317,10 @@ def log_prior_w(squares, n_loadings, ard_shape, ard_rate):
 def log_evidence(X, y, psi_y, psi_z, psi_x, ard_shape, ard_rate, n_grid):
     """Log p(X, y) and log p(X) given the noise variances, by the trapezoidal rule.
 
-    The integrand is smooth and falls off long before the ends, where the trapezoidal
-    rule converges faster than any power of the spacing.
+    The integrand is smooth and vanishes before the ends; for such integrands the
+    trapezoidal rule converges faster than any power of the spacing.
     """
-    # The likelihood sets the scale of both loadings; a factor 8 leaves no tail.
+    # The likelihood sets the scale of both loadings; a factor of 8 covers the tails.
     w_x = 8.0 * X.std() * np.linspace(-1.0, 1.0, n_grid)[:, None]
     w_z = 8.0 * y.std() * np.linspace(-1.0, 1.0, n_grid)[None, :]
     var_x, cov, var_y = w_x**2 + psi_x, w_x * w_z, w_z**2 + psi_z + psi_y
@@ -363,13 +363,13 @@ def test_bound_is_below_the_evidence(seed):
     fitted = fit_fixed_noise(params, X, y, **ARD, n_iter=60)
     best = ref.elbo(fitted, X, y, **ARD)
     assert start < best < evidence
-    # The posterior has two mirror modes and the bound fills one: at least log 2 below.
-    # The factorised q costs another 0.8 to 1.3 nats here, so lost constants show.
+    # The posterior has two mirrored modes and q covers one: at least log 2 below.
+    # The factorised q costs another 0.8 to 1.3 nats; missing constants would exceed it.
     assert np.log(2.0) < evidence - best < 2.5
 
 
 def test_bound_is_on_the_joint_density_not_on_y_given_X():
-    # The paper calls the bounded quantity log p(y | X); eq. 6 holds log p(x | t) too.
+    # The paper calls the bounded quantity log p(y | X); eq. 6 also has log p(x | t).
     X, y = make_data(0, 1, n_samples=20)
     X = 0.1 * X
     params = make_vb_params(0, 1)
@@ -390,8 +390,8 @@ def test_bound_is_on_the_joint_density_not_on_y_given_X():
 
 @pytest.mark.parametrize("block", ["w_z", "w_x", "alpha"])
 def test_eq5_printed_is_false(block):
-    # With p(w_z | alpha) twice and no p(w_x | alpha), none of the updates that eq. 5
-    # is meant to lead to is a maximum.
+    # With p(w_z | alpha) twice and no p(w_x | alpha), none of the paper's updates
+    # maximises the bound.
     X, y, params, posterior = with_posterior(3, 2)
     new = update_block(block, params, posterior, X, y, **ARD)
     right = partial(ref.elbo, X=X, y=y, **ARD, posterior=posterior)
@@ -402,7 +402,7 @@ def test_eq5_printed_is_false(block):
 
 
 def test_eq5_printed_bound_falls():
-    # From the optimum of the printed bound in q(w_x), the paper's eqs. 10-11 go down.
+    # From the optimum of the printed bound in q(w_x), eqs. 10-11 decrease it.
     X, y, params, posterior = with_posterior(3, 2)
     mean, var = ref.update_w_x(posterior, X, y, psi_x=params.psi_x, E_alpha=0.0)
     params = replace(params, w_x_mean=mean, w_x_var=var)
@@ -415,7 +415,7 @@ def test_eq5_printed_bound_falls():
 
 @pytest.mark.parametrize("ard", [1e-6, 1.5])
 def test_eq6_printed_is_false(ard):
-    # p(alpha_m) beside both loadings counts one prior twice; eqs. 12-13 count it once.
+    # p(alpha_m) with both loadings counts one prior twice; eqs. 12-13 count it once.
     X, y, params, posterior = with_posterior(3, 2)
     arguments = {"X": X, "y": y, "ard_shape": ard, "ard_rate": ard}
     new = update_block("alpha", params, posterior, **arguments)
@@ -450,17 +450,17 @@ def test_eq27_is_the_conditional_expectation(seed, n_features):
 
 def eq27(params):
     noise, names = (params.psi_y, params.psi_z, params.psi_x), ("w_z_var", "w_x_var")
-    known = {name: getattr(params, name) for name in names}
-    return ref.beta_noise_eq27(params.w_z_mean, params.w_x_mean, *noise, **known)
+    variances = {name: getattr(params, name) for name in names}
+    return ref.beta_noise_eq27(params.w_z_mean, params.w_x_mean, *noise, **variances)
 
 
 def test_eq27_with_second_moments():
     params = make_vb_params(0, 3)
     literal = eq27(params)
-    # The slope of sum_m <z_m> in x when y is unknown, i.e. infinitely noisy.
-    blind = {**params.moments(), "psi_y": 1e9}
+    # The slope of sum_m <z_m> in x if y is unknown, i.e. infinitely noisy.
+    noisy = {**params.moments(), "psi_y": 1e9}
     slope = [
-        ref.posterior_zt(row[None], np.zeros(1), **blind).E_z.sum() for row in np.eye(3)
+        ref.posterior_zt(row[None], np.zeros(1), **noisy).E_z.sum() for row in np.eye(3)
     ]
     assert_allclose(literal, slope, rtol=1e-6)
 
@@ -482,8 +482,8 @@ def test_eq29_is_the_limit_without_input_noise(seed, n_features):
 
 
 def test_eq29_is_not_the_limit_with_second_moments():
-    # Only with point estimates, as the text of section 3.3 says, does the limit of
-    # eq. 27 give eq. 29: a variance of w_x does not vanish with psi_x.
+    # The limit of eq. 27 is eq. 29 only with point estimates (section 3.3), because
+    # the variance of w_x does not vanish with psi_x.
     params = make_vb_params(0, 3)
     limit = eq27(replace(params, psi_x=1e-8 * params.psi_x))
     second_moment = params.w_x_mean**2 + params.w_x_var
@@ -497,7 +497,7 @@ def test_eq28_corrected_is_the_conditional_expectation(seed):
     params = make_jfa_params(seed, 3)
     corrected = ref.beta_jfa_eq28(params.w_z, params.w_x, params.psi_x)
     assert_allclose(corrected, expected_y_given_x(params), rtol=1e-9)
-    # The extra terms that the paper sees in eq. 27 cancel: the two are one vector.
+    # The extra terms that the paper finds in eq. 27 cancel: both vectors are equal.
     assert_allclose(corrected, ref.beta_noise_eq27(**vars(params)), rtol=1e-9)
 
 

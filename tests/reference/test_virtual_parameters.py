@@ -1,4 +1,4 @@
-"""Virtual parameters of eq. 30: the map, and that eq. 35 is not convex in them."""
+"""Virtual parameters of eq. 30: the map, and non-convexity of eq. 35 in them."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def test_eq30_encodes_a_body(seed):
     np.testing.assert_allclose(
         inertial_from_virtual(virtual), phi, rtol=1e-12, atol=1e-13
     )
-    # The paper prints theta_1 = theta_1 hat, the root of the mass instead of the mass.
+    # The paper prints theta_1 = theta_1 hat: the root of the mass instead of the mass.
     assert abs(virtual[0] - phi[0]) > 1e-3
     # A factor and its negative give the same body.
     np.testing.assert_allclose(
@@ -37,7 +37,7 @@ def test_eq30_encodes_a_body(seed):
 
 @properties
 @given(seeds)
-def test_any_virtual_parameters_give_a_body_of_the_set(seed):
+def test_any_virtual_parameters_give_a_consistent_body(seed):
     v = np.random.default_rng(seed).normal(size=(20, 10))
     assert is_consistent(inertial_from_virtual(v), "eq30", margin=-1e-12).all()
     # The paper calls masses strictly positive.
@@ -45,7 +45,7 @@ def test_any_virtual_parameters_give_a_body_of_the_set(seed):
 
 
 def test_projection_is_not_convex_in_virtual_parameters():
-    # Two bodies with one first moment: m c = 1 is a curved set of (sqrt(m), c).
+    # Two bodies with equal first moment: m c = 1 is a curved set of (sqrt(m), c).
     light = np.array([1.0, 1.0, 0, 0, 1, 0, 0, 1, 0, 1])
     heavy = np.array([2.0, 0.25, 0, 0, 1, 0, 0, 1, 0, 1])
     target = inertial_from_virtual(light)
@@ -58,7 +58,7 @@ def test_projection_is_not_convex_in_virtual_parameters():
     # sqrt(m) = 1.5 and c = 0.625 give m c = 1.40625.
     middle = 0.5 * (light + heavy)
     assert objective(middle, first_moment) == pytest.approx(0.5 * 0.40625**2)
-    # The same with every parameter weighed.
+    # The same with a weight on every parameter.
     weights = first_moment + 1e-3
     chord = 0.5 * (objective(light, weights) + objective(heavy, weights))
     assert objective(middle, weights) > chord + 0.05

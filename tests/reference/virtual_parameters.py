@@ -8,7 +8,7 @@ U_22, U_23, U_33)``.  Any ten numbers give a positive mass and a positive semide
 
 The paper calls the minimisation convex. In the virtual parameters it is not: a sign
 change of any factor gives the same body. It is convex in the parameters themselves,
-which is how the package solves it; this module imports nothing from there.
+and the package solves it there; this module imports nothing from the package.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 # Row and column of Ixx, Ixy, Iyy, Ixz, Iyz, Izz, Pinocchio's order, in the inertia.
 _INERTIA_ROW = np.array([0, 0, 1, 0, 1, 2])
 _INERTIA_COLUMN = np.array([0, 1, 1, 2, 2, 2])
-# Place of U_11, U_12, U_13, U_22, U_23, U_33 in U.
+# Row and column of U_11, U_12, U_13, U_22, U_23, U_33 in U.
 FACTOR_ROW = np.array([0, 0, 0, 1, 1, 2])
 FACTOR_COLUMN = np.array([0, 1, 2, 1, 2, 2])
 

@@ -305,7 +305,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     def _close(self, whole, library, unusable):
         """Search, validate and fit the completed model; return an `Outcome`."""
         say("channels")
-        channels = self.identifier.findings(whole) if whole.states is None else ()
+        channels = self.identifier.findings(whole)
         measured = self.identifier.drive is None and self.identifier.gains is None
         fault = refusal(channels, whole.torque_units if measured else ())
         if fault is not None:

@@ -12,10 +12,7 @@ from sklearn.utils.validation import check_is_fitted, check_scalar
 from sklearn_vbjfa._core._runtime import one_blas_thread
 from sklearn_vbjfa.effects import CommandDelay, TorqueLag
 from sklearn_vbjfa.equations._equations import assign_blocks
-from sklearn_vbjfa.equations._features import (
-    RigidBodyFeatures,
-    with_followers,
-)
+from sklearn_vbjfa.equations._features import RigidBodyFeatures, with_followers
 from sklearn_vbjfa.equations._plan import (
     check_channels,
     check_drive,
@@ -363,9 +360,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             source = with_signs(recipe, robot, source, previous)
             recording = source.recording
         fit = fit_robot(recipe, robot, source, previous)
-        inspect = inspect and plan.state_estimator is not None and plan.lag is None
+        inspect = inspect and self.dt is not None and plan.lag is None
         self._suspect = inspect and (
-            contradicted(recording.tau, fit.errors(), fit.torque_size)
+            contradicted(recording, fit.errors(), fit.torque_size)
             or suggests_lag(recipe, fit, source)
         )
         if self.fit_options.torque_noise is None:
@@ -559,15 +556,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     @wraps(IdentifiedRobot.to_mjcf)
     def to_mjcf(self, path, sample=None, random_state=0, *, drive=None):
-        drive = self._drive_of_files(drive)
-        return self.robot_.to_mjcf(path, sample, random_state, drive=drive)
-
-    def _drive_of_files(self, drive):
-        """Return the `PDDrive` with gains for exported files, or None."""
         drive = self.drive if drive is None else drive
-        if not isinstance(drive, PDDrive):
-            return None
-        if self._feedback is not None and (drive.kp is None or drive.kd is None):
-            kp, kd = self._feedback
-            drive = clone(drive).set_params(kp=kp, kd=kd)
-        return drive
+        drive = drive if isinstance(drive, PDDrive) else None
+        if drive is not None and self._feedback is not None:
+            if drive.kp is None or drive.kd is None:
+                kp, kd = self._feedback
+                drive = clone(drive).set_params(kp=kp, kd=kd)
+        return self.robot_.to_mjcf(path, sample, random_state, drive=drive)

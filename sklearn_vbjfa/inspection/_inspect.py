@@ -1,6 +1,5 @@
 """Table of hypotheses about faults of a log, compared by their likelihood."""
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,7 +13,7 @@ from sklearn_vbjfa.inspection import _torques as torques
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
 from sklearn_vbjfa.inspection._positions import implausible_speed
 from sklearn_vbjfa.inspection._reading import Reading, long_parts, subsample
-from sklearn_vbjfa.inspection._rows import CHECKS, Rows, shuffled_rows
+from sklearn_vbjfa.inspection._rows import CHECKS, Rows, shuffled_rows, wrong_states
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.model import joint_names, load_folded, movable_joints
 from sklearn_vbjfa.recording import (
@@ -129,6 +128,8 @@ __all__ = ["ChannelFinding", "inspect_channels", "inspect_recording"]
 
 # Findings that are expected if the unit of the torques is unknown or not N m or N.
 _SCALE_KINDS = ("torque_unit", "torque_factors", "gear_factor", "other_robot")
+# Units of torques and forces; arrays have the unit "".
+_TORQUES = {"N m", "N", ""}
 # Hypotheses that change the speeds of a log.
 _SPEED_KINDS = ("position_unit", "wrong_dt")
 
@@ -169,13 +170,16 @@ def inspect_recording(recording, model=None):
         # The URDF also contains the mimic joints.
         model = urdf
     robot = recording.robot_model() if model is None else model
-    gains = None if _are_torques(recording.torque_units) else "unknown"
+    gains = None if _TORQUES.issuperset(recording.torque_units) else "unknown"
     return inspect_as(recording, robot, gains=gains)
 
 
 def inspect_as(recording, model, **settings):
     """Inspect a recording with the settings of `inspect_channels`."""
-    return inspect_channels(
+    if recording.dt is None:
+        # Without dt, states may be in any order.
+        return ()
+    return tuple(wrong_states(recording)) or inspect_channels(
         model,
         recording.q,
         bridged(recording).tau,
@@ -188,12 +192,6 @@ def inspect_as(recording, model, **settings):
     )
 
 
-def _are_torques(units):
-    """Whether torque channels hold torques or forces, not currents or duty cycles."""
-    # Arrays have the unit "".
-    return all(unit in ("N m", "N", "") for unit in units)
-
-
 def refusal(findings, units=()):
     """Return a `RecordingRefused` for the errors among findings, or None."""
     # units: of measured torques, whose signs `gains` can correct; empty for a drive.
@@ -201,7 +199,7 @@ def refusal(findings, units=()):
     if not errors:
         return None
     options = dict(errors[0].remedy) if len(errors) == 1 else {}
-    if "gains" in options and not (units and _are_torques(units)):
+    if "gains" in options and not (units and _TORQUES.issuperset(units)):
         options = {}
     return RecordingRefused(" ".join(x.message for x in errors), options)
 
@@ -209,18 +207,6 @@ def refusal(findings, units=()):
 def common_lag(findings):
     """Return the lag [s] that all torques have in all recordings, or zero."""
     return sum(x.value for x in findings if (x.kind, x.severity) == ("delay", "note"))
-
-
-def contradicted(tau, errors, size):
-    """Whether a fit contradicts the description, so that its log is inspected."""
-    # tau (n, nv); errors (nv,): residual standard deviations of the fit; size: factor
-    # of all torques against the description, and its relative error.
-    factor, error = size
-    scale = np.abs(np.log(max(factor, 1e-300)))
-    far = scale > max(np.log(number.SCALE), number.DECISIVE * error)
-    # Rows of lost torques (zeros) make the torques appear smaller.
-    empty = (tau == 0).all(axis=1).any()
-    return bool(far or empty or (errors > number.WORST * np.std(tau, axis=0)).any())
 
 
 def inspect_channels(
@@ -280,17 +266,16 @@ def inspect_channels(
     settings = drive, named, feedback, gains
     reading = Reading(robot, names, q, tau, dt, parts, usable, *settings, poses=poses)
     recordings = recording_names(groups, [part.start for part in all_parts])
-    is_long = [part.stop - part.start >= number.MIN_SAMPLES for part in all_parts]
-    recordings = list(itertools.compress(recordings, is_long))
+    sizes = (part.stop - part.start for part in all_parts)
+    recordings = [x for x, n in zip(recordings, sizes) if n >= number.MIN_SAMPLES]
     findings = _compare_recordings(reading, recordings)
-    excluded = set(_SCALE_KINDS) if gains is not None else set()
-    if bodies == "free":
-        excluded.add("torque_unit")
-    if drive is not None and drive.unsigned:
-        excluded.add("unsigned_torque")
-    if any(x.severity != "note" for x in log.findings):
+    excluded = {
+        *(() if gains is None else _SCALE_KINDS),
+        "torque_unit" if bodies == "free" else "",
+        "unsigned_torque" if drive is not None and drive.unsigned else "",
         # Faulty rows do not show whether the log is of another robot.
-        excluded.add("other_robot")
+        "other_robot" if any(x.severity != "note" for x in log.findings) else "",
+    }
     findings = [x for x in findings if x.kind not in excluded]
     return findings_in_order(log.findings + findings)
 
@@ -316,7 +301,11 @@ def _compare(reading):
 
 def _compare_recordings(reading, names):
     """Return findings of the consistent recordings, and of each deviating one."""
-    outliers = [] if reading.is_uninformative() else reading.deviating_recordings()
+    # Those that fit far worse than others, or with other masses.
+    labels = [] if reading.is_uninformative() else reading.robot.signals.recording
+    found = np.unique(labels).tolist()
+    several = 1 < len(found) <= number.MANY
+    outliers = [k for k in found if several and reading.robot.deviates(labels == k)]
     others = sorted(set(range(len(reading.parts))) - set(outliers))
     alone = {k: _compare(reading.select_parts([k], alone=True)) for k in outliers}
     pairs = [(k, x) for k, xs in alone.items() for x in xs if x.kind != "unverified"]
@@ -353,8 +342,13 @@ def _apply_hypotheses(reading):
                 # An inconclusive hypothesis is far more probable.
                 continue
             after = candidate.change and reading.apply(candidate.change)
-            if after is None or _improves(after, reading.robot):
+            if after is None:
                 break
+            if not after.is_uninformative():
+                cache, before = reading.robot.times, reading.robot.baseline
+                robot = DescribedRobot(after.bodies, after.signals, cache)
+                if robot.baseline.evidence > before.evidence:
+                    break
         else:
             break
         rivals = [
@@ -377,14 +371,6 @@ def _probable(reading, when):
     rows = [x for x in TABLE if x.when == when and (not fast or x.name in _SPEED_KINDS)]
     matches = [(row, row.candidate(reading)) for row in rows]
     return [pair for pair in matches if pair[1] is not None]
-
-
-def _improves(log, before):
-    """Whether a corrected log agrees better with the description."""
-    if log.is_uninformative():
-        return False
-    robot = DescribedRobot(log.bodies, log.signals, before.times)
-    return robot.baseline.evidence > before.baseline.evidence
 
 
 def _unverified(reading):

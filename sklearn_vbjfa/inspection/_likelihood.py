@@ -28,7 +28,12 @@ class Bodies:
         self.nv = robot.model.nv
         self.gravity = np.array(model.gravity.linear) / 9.81
         nominal = nominal_parameters(model)
-        self.parameters, self.prior_std = nominal.ravel(), _prior_std(nominal)
+        self.parameters, mass = nominal.ravel(), nominal[:, 0]
+        mass = np.maximum(mass, 0.02 * mass.max() + 1e-12)
+        trace = nominal[:, [4, 6, 9]].sum(axis=1)
+        length = np.maximum(np.sqrt(np.maximum(0.5 * trace / mass, 0.0)), 0.05)
+        scales = [mass] + 3 * [mass * length] + 6 * [mass * length**2]
+        self.prior_std = number.NOMINAL_ERROR * np.column_stack(scales).ravel()
         pulls = np.vstack([np.zeros(3), 9.81 * np.eye(3)])
         self._regressor = TreeRegressor(model)
         self._parts = [TreeRegressor(under_gravity(model, x)) for x in pulls]
@@ -79,15 +84,6 @@ class Bodies:
         q, v, a = self._motion(states)
         X = regressor(q, v, a).reshape(*q.shape, -1)
         return X if X.shape[1] == self.nv else self._rates.T @ X
-
-
-def _prior_std(bodies):
-    """Prior standard deviations of all inertial parameters, ndarray (10 nv,)."""
-    mass = np.maximum(bodies[:, 0], 0.02 * bodies[:, 0].max() + 1e-12)
-    trace = bodies[:, [4, 6, 9]].sum(axis=1)
-    length = np.maximum(np.sqrt(np.maximum(0.5 * trace / mass, 0.0)), 0.05)
-    scales = [mass] + 3 * [mass * length] + 6 * [mass * length**2]
-    return number.NOMINAL_ERROR * np.column_stack(scales).ravel()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -161,8 +161,12 @@ LEAST_STOP, STOP_RANGE, SUDDEN, USUAL, STUCK_SHARE = 10, 3e-3, 3.5, 0.99, 0.03
 DEAD_RUN, DEAD_SHARE, DEAD_NOISE, REPEATED = 50, 0.8, 3.0, 0.005
 # Outliers: least deviation from the neighbours in robust standard deviations, samples
 # of a recording, jump as a share of the channel's range, and largest share of outliers
-# (more are noise); length of the median filter of torques [samples].
+# (more are noise); length of the median filter of torques [samples]. Torques are also
+# outliers beyond the second multiple of the 99 % quantile, if none is between both.
 OUTLIER, FEWEST_AROUND, LEAST_JUMP, MOST_OUTLIERS, MEDIAN = 25.0, 16, 0.003, 0.01, 5
+BEYOND = 3.0, 10.0
+# Derivatives among given states are wrong from this factor on.
+RATE = 1.5
 # Torques are the motion times a factor if they agree to `GOOD_FIT` and the factors of
 # all joints to this share (a single torque must equal it to this share). A torque is a
 # multiple of another one up to the second share.

@@ -158,18 +158,10 @@ def filter_signals(q, tau, dt, parts, usable):
         _joint_signals(*channels, dt, inner, smooth, lowpass)
         for channels in zip(q.T, tau.T, usable.T)
     ]
-    *states, sign, tau, slope, weight, throughout = np.stack(joints, axis=2)
+    q, v, a, *channels = np.stack(joints, axis=2)
     row = np.concatenate([p.start + lowpass.centres(p.stop - p.start) for p in inner])
-    return Signals(
-        states=np.concatenate(states, axis=1),
-        sign=sign,
-        tau=tau,
-        slope=slope,
-        weight=weight,
-        throughout=throughout,
-        row=row,
-        recording=np.searchsorted([p.stop for p in parts], row, side="right"),
-    )
+    recording = np.searchsorted([p.stop for p in parts], row, side="right")
+    return Signals(np.hstack([q, v, a]), *channels, row, recording)
 
 
 def _joint_signals(q, tau, usable, dt, parts, smooth, lowpass):
@@ -285,13 +277,6 @@ class Reading:
         channels = {x: getattr(self, x)[rows] for x in ("q", "tau", "usable")}
         return replace(self, **channels, parts=parts, alone=alone)
 
-    def deviating_recordings(self):
-        """List recordings that fit far worse than others, or with other masses."""
-        recordings = self.robot.signals.recording
-        indices = np.unique(recordings).tolist()
-        several = 1 < len(indices) <= number.MANY
-        return [k for k in indices if several and self.robot.deviates(recordings == k)]
-
     def is_uninformative(self):
         """Whether torques or description allow no comparison."""
         if self.signals is None or not self.signals.informative().any():
@@ -336,7 +321,12 @@ class Reading:
         if change.gravity is not None:
             robot = replace(robot, full=under_gravity(robot.full, change.gravity))
         if change.lag:
-            tau, usable = _shift_torques(tau, change.lag, self.parts, usable)
+            tau, usable = tau.copy(), usable.copy()
+            first, last = max(0, -change.lag), max(0, change.lag)
+            for part in self.parts:
+                tau[part] = np.roll(tau[part], -change.lag, axis=0)
+                usable[part][:first] = False
+                usable[part][len(tau[part]) - last :] = False
         after = replace(self, folded=robot, q=q, tau=tau, dt=dt, usable=usable)
         return replace(after, poses=self.poses and change.signals(self.poses))
 
@@ -362,17 +352,6 @@ def _loss(robot, signals, joints, tau):
     # Deviations of both factors from one count as errors.
     residual += (theta[:, :2, 0] ** 2 * penalty[:, :2]).sum(axis=1)
     return np.log(np.maximum(residual / np.maximum(total, 1e-300), 1e-12))
-
-
-def _shift_torques(tau, samples, parts, usable):
-    """Shift torques to earlier samples; also the samples that remain usable."""
-    tau, usable = tau.copy(), usable.copy()
-    first, last = max(0, -samples), max(0, samples)
-    for part in parts:
-        tau[part] = np.roll(tau[part], -samples, axis=0)
-        usable[part][:first] = False
-        usable[part][len(tau[part]) - last :] = False
-    return tau, usable
 
 
 # -- the search for a change -----------------------------------------------------------

@@ -4,7 +4,7 @@ Most faults are runs of rows in which a channel is constant although the robot m
 """
 
 import functools
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import scipy
@@ -13,7 +13,7 @@ from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._likelihood import Bodies
 from sklearn_vbjfa.inspection._sentences import finding, percent
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.recording import rows_alternate
+from sklearn_vbjfa.recording import bridged, rows_alternate
 
 
 class Rows:
@@ -341,9 +341,11 @@ def _check_torques(log):
         if _check_coarse(log, j, x):
             log.usable[:, j] = False
             continue
-        faulty = np.zeros(x.shape, dtype=bool)
+        faulty = outlying(x) & ~log.held[j]
+        if faulty.any():
+            log.report("torque_outliers", j, "warning", log.runs(faulty))
         if not log.held[j]:
-            faulty = _find_dropouts(log, j, x) | _find_outliers(log, j, x)
+            faulty = faulty | _find_dropouts(log, j, x)
         log.usable[:, j] &= ~(faulty | _find_clipped(log, j, x, log.moving & ~faulty))
 
 
@@ -396,8 +398,8 @@ def _find_dropouts(log, j, x):
     return faulty
 
 
-def _find_outliers(log, j, x):
-    """Find single torques that deviate from their neighbours."""
+def outlying(x):
+    """Mark single torques that deviate from their neighbours, (n,) of bool."""
     # A median filter preserves the steps of friction at reversals.
     smoothed = scipy.ndimage.median_filter(x, number.MEDIAN)
     deviation = np.abs(x - smoothed)
@@ -406,9 +408,12 @@ def _find_outliers(log, j, x):
     # Smaller or more frequent deviations are noise.
     size = np.sqrt(np.mean(deviation**2 * outliers))
     if size < number.WORST * smoothed.std() or outliers.mean() > number.STUCK_REPEATS:
-        return np.zeros_like(outliers)
-    log.report("torque_outliers", j, "warning", log.runs(outliers))
-    return outliers
+        outliers = np.zeros_like(outliers)
+    # Some in a row are far beyond all other values.
+    distance = np.abs(x - np.median(x))
+    usual = np.quantile(distance, 0.99)
+    near, far = np.outer(number.BEYOND, usual) < distance
+    return outliers | (far & (far == near).all() & (usual > 0))
 
 
 def _find_clipped(log, j, x, moving):
@@ -551,6 +556,51 @@ def _jump_findings(names, j, x, jumps, rows):
     severity = "note" if abs(sizes.sum()) < 0.5 * abs(sizes[0]) else "warning"
     facts = {"count": len(jumps), "step": sizes[0], "row": rows[jumps[0]]}
     return [finding("position_jumps", names, j, severity, **facts)]
+
+
+# -- states ----------------------------------------------------------------------------
+
+
+def wrong_states(recording):
+    """Find given velocities or accelerations that are no derivatives; one or none."""
+    names, parts = recording.joint_names, recording.segments
+    if recording.states is None or shuffled_rows(names, recording.q, parts):
+        return []
+    pairs = pairwise(np.split(recording.states, 3, axis=1))
+    for of, (x, rate) in zip(("positions", "velocities"), pairs):
+        joints, steps = np.flatnonzero(~still_joints(x, parts)), rate * recording.dt
+        factors = {j: _rate_factor(x[:, j], steps[:, j], parts) for j in joints}
+        wrong = [j for j in joints if not 1 / number.RATE < factors[j] < number.RATE]
+        if wrong:
+            facts = {"of": of, "factor": factors[wrong[0]], "name": names[wrong[0]]}
+            return [finding("wrong_states", names, wrong, "error", **facts)]
+    return []
+
+
+def _rate_factor(x, step, parts):
+    """Return the factor of changes of x (n,) over sums of steps."""
+    # Sums over times in which x changes by its standard deviation suppress noise.
+    longest = max(part.stop - part.start for part in parts)
+    width = int(x.std() / max(np.abs(step).mean(), x.std() / len(x)))
+    width = max(min(width, longest // 8), 1)
+    pairs = [(x[p], np.cumsum(step[p]) - step[p] / 2) for p in parts]
+    pairs = [[y[width:] - y[:-width] for y in pair] for pair in pairs]
+    change, total = np.hstack([pair for pair in pairs if len(pair[0])])
+    return change @ total / max(total @ total, 1e-300)
+
+
+def contradicted(recording, errors, size):
+    """Whether a fit contradicts the description, so that its log is inspected."""
+    # errors (nv,): residual standard deviations of the fit; size: factor of all torques
+    # against the description, and its relative error.
+    tau, (factor, error) = bridged(recording).tau, size
+    scale = np.abs(np.log(max(factor, 1e-300)))
+    far = scale > max(np.log(number.SCALE), number.DECISIVE * error)
+    # Rows of lost torques (zeros) make the torques appear smaller.
+    empty = (tau == 0).all(axis=1).any()
+    poor = (errors > number.WORST * np.std(tau, axis=0)).any()
+    wrong = any(outlying(x).any() for x in tau.T) or wrong_states(recording)
+    return bool(far or empty or poor or wrong)
 
 
 # -- copied channels -------------------------------------------------------------------

@@ -15,6 +15,7 @@ from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.model._mjcf_reading import read_mjcf
 from sklearn_vbjfa.model._trees import (
     Description,
+    carriers_of,
     check_joints,
     fold,
     foldable,
@@ -133,7 +134,7 @@ def movable_joints(path):
     # With followers that cannot be folded (`load_model`), without a base's free joint.
     path = Path(path)
     robot, _ = hold_base(_read(parse_description(path), path), None)
-    folded = foldable(robot.carriers, robot.links, robot.label)
+    folded = foldable(carriers_of(robot.model), robot.links, robot.label)
     return tuple(name for name in robot.in_file_order if name not in folded)
 
 
@@ -206,7 +207,7 @@ def _build(tree, path, moving=None, base=None):
         robot = robot.with_moving(moving)
     robot.check()
     links = robot.links
-    folded = foldable(robot.carriers, links, robot.label)
+    folded = foldable(carriers_of(robot.model), links, robot.label)
     result = replace(fold(robot.model, folded), text=text)
     separate = [name for name in links if name not in folded]
     messages = [*messages, *robot.left_out]

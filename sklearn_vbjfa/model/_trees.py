@@ -358,16 +358,10 @@ class Description:
         return tuple(name for name in self.listed or self.names if name in self.names)
 
     @property
-    def carriers(self):
-        """Name of the parent joint of each joint, name -> name or None."""
-        return carriers_of(self.model)
-
-    @property
     def free(self):
         """Names of the free joints."""
-        kinds = [joint.shortname() for joint in self.model.joints][1:]
-        pairs = zip(self.names, kinds)
-        return [name for name, kind in pairs if kind == "JointModelFreeFlyer"]
+        pairs = zip(self.model.names, self.model.joints)
+        return [x for x, joint in pairs if joint.shortname() == "JointModelFreeFlyer"]
 
     def with_fixed_base(self, name, axes=None):
         """Fix the free joint at the root; return the robot and the axes of its base."""
@@ -391,7 +385,9 @@ class Description:
                 f"{', '.join(self.names) or 'none'}."
             )
         links = {name: link for name, link in self.links.items() if name not in moving}
-        followers = movable_followers(moving, self.carriers, links, self.label)
+        followers = movable_followers(
+            moving, carriers_of(self.model), links, self.label
+        )
         for name, link in links.items():
             if name not in followers and link.leader in moving:
                 raise ValueError(
@@ -401,11 +397,8 @@ class Description:
                     f"{link.leader} too."
                 )
         pin, model = import_pinocchio(), self.model
-        fixed = [
-            k
-            for k, name in enumerate(self.names, 1)
-            if name not in moving and name not in followers
-        ]
+        kept = {*moving, *followers}
+        fixed = [k for k, name in enumerate(self.names, 1) if name not in kept]
         if fixed:
             model = pin.buildReducedModel(model, fixed, pin.neutral(model))
         links = {name: link for name, link in links.items() if name in followers}
@@ -451,7 +444,7 @@ def carriers_of(model):
 def hold_base(robot, orientation):
     """Fix a free base that carries all joints; return the robot and messages."""
     # orientation: a quaternion, None for that of the description.
-    free, carriers = robot.free, robot.carriers
+    free, carriers = robot.free, carriers_of(robot.model)
     on_world = [name for name, above in carriers.items() if above is None]
     # A free body that carries no joints is not a base.
     if len(free) != 1 or not on_world == free != [*carriers]:
@@ -463,7 +456,17 @@ def hold_base(robot, orientation):
         return robot, []
     rotation = None if orientation is None else rotation_of(orientation)
     robot, axes = robot.with_fixed_base(free[0], rotation)
-    return robot, [_base_message(free[0], axes)]
+    if np.linalg.norm(axes[2, :2]) < _LEVEL and axes[2, 2] > 0:
+        pose = "level"
+    else:
+        angles = np.rad2deg(import_pinocchio().rpy.matrixToRpy(axes))
+        # Adding 0.0 turns -0.0 into 0.0.
+        degrees = " ".join(f"{x:.4g}" for x in np.round(angles, 4) + 0.0)
+        pose = f"turned by rpy {degrees} degrees"
+    return robot, [
+        f"the base, which {free[0]} leaves free, is held {pose} (base_orientation or "
+        "--base-orientation turns it, the effect base_tilt finds a few degrees more)"
+    ]
 
 
 def rotation_of(orientation):
@@ -480,21 +483,6 @@ def rotation_of(orientation):
         )
     w, x, y, z = quaternion / length
     return import_pinocchio().Quaternion(w, x, y, z).toRotationMatrix()
-
-
-def _base_message(name, rotation):
-    """Return a message about the fixed base; rotation (3, 3): its axes in the world."""
-    if np.linalg.norm(rotation[2, :2]) < _LEVEL and rotation[2, 2] > 0:
-        pose = "level"
-    else:
-        angles = np.rad2deg(import_pinocchio().rpy.matrixToRpy(rotation))
-        # Adding 0.0 turns -0.0 into 0.0.
-        degrees = " ".join(f"{x:.4g}" for x in np.round(angles, 4) + 0.0)
-        pose = f"turned by rpy {degrees} degrees"
-    return (
-        f"the base, which {name} leaves free, is held {pose} (base_orientation or "
-        "--base-orientation turns it, the effect base_tilt finds a few degrees more)"
-    )
 
 
 # -- followers: joints that follow others (mimic) --------------------------------------

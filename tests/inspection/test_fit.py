@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa import RobotIdentifier, StateEstimator
 from sklearn_vbjfa.datasets import load_demo_recording
 from sklearn_vbjfa.model import DoubtWarning
 from tests.effects._arms import inverse_dynamics
@@ -75,3 +75,31 @@ def test_fit_warns_of_rows_without_torques_and_of_a_stuck_encoder(recording):
     q[len(q) // 2 :, 1] = q[len(q) // 2, 1]
     messages = warned(recording, q, recording.tau)
     assert any("encoder was stuck" in x for x in messages)
+
+
+def test_fit_warns_of_a_single_outlier_and_of_some_in_a_row(recording):
+    for rows in (slice(700, 701), slice(700, 705)):
+        tau = recording.tau.copy()
+        tau[rows, 1] += 50 * tau[:, 1].std()
+        (message,) = warned(recording, recording.q, tau)
+        assert "The torque of joint_2 has" in message
+        assert "outlier(s)" in message
+
+
+@pytest.mark.parametrize(
+    ("blocks", "factors", "pattern"),
+    [
+        ([0, 1, 2], [1, 1, 1, 1], None),
+        ([0, 1, 2], [1, 2, 1, 1], "of the positions are 0.5 times those given"),
+        ([0, 1, 2], [1, 1, -1, 1], "of the velocities are -1 times those given"),
+        ([1, 0, 2], [1, 1, 1, 1], "all joints are inconsistent"),
+        ([0, 1, 2], [1, 1, 1, -1], "has the wrong sign"),
+    ],
+)
+def test_given_states_are_inspected(recording, blocks, factors, pattern):
+    states = StateEstimator(dt=recording.dt).fit_transform(recording.q)
+    states = np.split(states, 3, axis=1)
+    X = np.hstack([factors[k] * states[k] for k in blocks])
+    messages = warned(recording, X, factors[3] * recording.tau)
+    assert len(messages) == (pattern is not None)
+    assert not messages or re.search(pattern, messages[0])

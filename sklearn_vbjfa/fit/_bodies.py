@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 from scipy import linalg
@@ -27,10 +28,11 @@ SCALES, _MIN_PRECISION = np.geomspace(1e-4, 1.0, 81), 1e-4
 _SIZE_DEVIATIONS = 3.0
 # Beyond this factor a different unit is more probable than one body that differs.
 _MAX_BODY_FACTOR = 20.0
-# Mass that replaces zero, as between two joints, relative to the mean mass; a missing
-# body is such a frame or a link: prior deviation in mean masses, over the scale, and
-# factor of the second moments of its ball, whose radius becomes 0.8 of a link's length.
-_MASSLESS, _MISSING_MASS, _MISSING_EXTENT = 1e-3, 1.0 / DESCRIBED, 10.0
+# Mass that replaces zero, as between two joints, relative to the mean mass.
+_MASSLESS = 1e-3
+# Second moments of the ball of an unknown body over those of a quarter of a link's
+# length, and scale of a body above which it may be one.
+_UNKNOWN_EXTENT, _UNKNOWN_SCALE = 10.0, 0.5
 # Maximum number of passes, and change of a mean, in deviations, at convergence.
 _MAX_PASSES, _MAX_CHANGE = 100, 1e-3
 # Maximum rescalings of the description by the common size, and relative change of that
@@ -59,25 +61,38 @@ class Departure:
 
 
 def _thickened(P):
-    """Return the pseudo-inertia of a body with its mean extension on all sides."""
+    """Return pseudo-inertias with the mean extension on all sides."""
     # So that a small error of the centre of a thin rod is a small distance.
-    first_moment, mass = P[:3, 3], P[3, 3]
-    second_moments = P[:3, :3] - np.outer(first_moment, first_moment) / mass
+    first_moment, mass = P[:, :3, 3], P[:, 3, 3]
+    second_moments = np.trace(P[:, :3, :3], axis1=1, axis2=2)
+    second_moments -= (first_moment**2).sum(axis=1) / mass
     thickened = P.copy()
-    thickened[:3, :3] += np.trace(second_moments) / 3.0 * np.eye(3)
+    thickened[:, :3, :3] += second_moments[:, None, None] / 3.0 * np.eye(3)
     return thickened
+
+
+def _metric_roots(P):
+    """Return upper triangular roots (n, 10, 10) of the metric at pseudo-inertias."""
+    relative = np.linalg.solve(P[:, None], pseudo_inertia(np.eye(10)))
+    metric = np.einsum("niab,njba->nij", relative, relative)
+    metric = 0.5 * (metric + np.swapaxes(metric, 1, 2))
+    return np.swapaxes(np.linalg.cholesky(metric), 1, 2)
+
+
+def _balls(model, masses):
+    """Return bodies (n, 10) of given masses and a quarter of a link's mean length."""
+    lengths = [np.linalg.norm(x.translation) for x in model.jointPlacements[1:]]
+    lengths = [d for d in lengths if d > 0]
+    radius = 0.25 * (np.mean(lengths) if lengths else 1.0)
+    inertia = 0.4 * radius**2
+    return np.outer(masses, [1.0, 0, 0, 0, inertia, 0, inertia, 0, 0, inertia])
 
 
 def force_solid(model, bodies):
     """Return the bodies (n, 10) of a model with non-solid ones replaced by balls."""
-    lengths = [np.linalg.norm(x.translation) for x in model.jointPlacements[1:]]
-    lengths = [d for d in lengths if d > 0]
-    radius = 0.25 * (np.mean(lengths) if lengths else 1.0)
-    solid, balls = solid_bodies(bodies), np.zeros(bodies.shape)
-    balls[:, [4, 6, 9]] = 0.4 * radius**2
-    balls[:, 0] = 1.0
-    balls *= bodies[solid, 0].mean() if solid.any() else 1.0
-    balls[bodies[:, 0] <= 0] *= _MASSLESS
+    solid = solid_bodies(bodies)
+    mean = bodies[solid, 0].mean() if solid.any() else 1.0
+    balls = _balls(model, np.where(bodies[:, 0] <= 0, _MASSLESS * mean, mean))
     return np.where(solid[:, None], bodies, balls)
 
 
@@ -95,6 +110,7 @@ class BodyPrior:
     centre: np.ndarray  # (n, 10): their parameters
     # (n, 10, 10): upper triangular R; |R d|^2 is the distance of a change d of a body
     root: np.ndarray
+    loose: np.ndarray  # (n, 10, 10): roots of bodies of unknown mass and centre
 
     @classmethod
     def of(cls, model, per_joint, followers=()):
@@ -110,22 +126,28 @@ class BodyPrior:
         if not solid.any():
             return None
         centre = force_solid(model, bodies)
-        bodies = np.where(massless[:, None], centre * _MISSING_MASS / _MASSLESS, centre)
-        bodies[massless, 4:] *= _MISSING_EXTENT
-        directions = pseudo_inertia(np.eye(10))
-        roots = []
-        for body in bodies:
-            relative = np.linalg.solve(_thickened(pseudo_inertia(body)), directions)
-            metric = np.einsum("iab,jba->ij", relative, relative)
-            roots.append(linalg.cholesky(0.5 * (metric + metric.T)))
-        places, root = starts[:, None] + np.arange(10), np.array(roots)
-        bodies = cls(names=tuple(names), places=places, centre=centre, root=root)
+        ball = _balls(model, np.where(massless, 1.0 / _MASSLESS, 1.0) * centre[:, 0])
+        ball[:, 4:] *= _UNKNOWN_EXTENT
+        P = _thickened(pseudo_inertia(centre))
+        loose = DESCRIBED * _metric_roots(P + _thickened(pseudo_inertia(ball)))
+        bodies = cls(
+            names=tuple(names),
+            places=starts[:, None] + np.arange(10),
+            centre=centre,
+            root=np.where(massless[:, None, None], loose, _metric_roots(P)),
+            loose=loose,
+        )
         return bodies.part(solid | massless)
 
     def part(self, chosen):
         """Select bodies by a mask (n,)."""
-        values = {x: getattr(self, x)[chosen] for x in ("places", "centre", "root")}
-        return replace(self, names=tuple(np.array(self.names)[chosen]), **values)
+        values = {x: getattr(self, x)[chosen] for x in vars(self) if x != "names"}
+        return replace(self, names=tuple(compress(self.names, chosen)), **values)
+
+    def loosened(self, chosen):
+        """Replace the prior of bodies, a mask (n,), by that of unknown ones."""
+        chosen = np.reshape(chosen, (-1, 1, 1))
+        return replace(self, root=np.where(chosen, self.loose, self.root))
 
     def vector(self, p):
         """Return the description among all parameters (p,), zero elsewhere."""
@@ -136,7 +158,8 @@ class BodyPrior:
     def scaled(self, factor):
         """Scale the bodies by a common factor or by one factor each."""
         size = np.reshape(factor, (-1, 1, 1))
-        return replace(self, centre=size[:, 0] * self.centre, root=self.root / size)
+        roots = {"root": self.root / size, "loose": self.loose / size}
+        return replace(self, centre=size[:, 0] * self.centre, **roots)
 
     def deviation(self, sites):
         """Return the prior deviations (n, 10) at the scales of sites."""
@@ -153,7 +176,7 @@ class BodyPosterior:
     covariance: np.ndarray
     prior: np.ndarray  # (p, p): precision of the prior
     # (p,): standard deviations of the prior at the estimated scales of the bodies; nan
-    # for parameters without prior
+    # for parameters without prior, infinite for bodies whose description is wrong
     prior_std: np.ndarray
     centre: np.ndarray  # (p,): mean of the prior
     # bodies that differ from the description, with indistinguishable candidates
@@ -300,19 +323,19 @@ class _BodyProblem:
         initial = [Site.of_scale(DESCRIBED)] * len(self.description.names)
         return propagate_sites(initial, lambda sites: zip(*self.marginals(sites)))
 
-    def departures(self):
-        """Find bodies whose size differs by more than usual, one by one."""
-        # The others keep the usual scale: with all scales free, the difference of one
-        # body would be distributed over several.
-        names, root = self.description.names, self.description.root
+    def departures(self, sizes, stds):
+        """Yield indices, factors, their deviations, and log odds of departures."""
+        # Bodies whose size differs by more than usual, one by one. The others keep the
+        # usual scale: with all scales free, the difference of one body would be
+        # distributed over several. sizes, stds: fitted masses, (n,).
+        root = self.description.root
         # Direction of a change in size only.
         direction = np.einsum("kij,kj->ki", root, self.description.centre)
         length = np.linalg.norm(direction, axis=1)
         direction /= length[:, None]
-        # A factor of a massless body is meaningless.
-        candidates = (length > 100 * _MASSLESS).astype(float)
-        sites = [Site.of_scale(DESCRIBED)] * len(names)
-        departures = []
+        # A factor of a massless or unknown body is meaningless.
+        candidates = (length > 0.5).astype(float)
+        sites = [Site.of_scale(DESCRIBED)] * len(root)
         while candidates.any():
             precision, product = self.marginals(sites)
             pair = np.stack([direction, product], axis=2)
@@ -321,31 +344,29 @@ class _BodyProblem:
             from_sites = [x @ site.precision @ x for x, site in zip(direction, sites)]
             H = np.maximum(1.0 / variance - from_sites, 0.0)[:, None, None]
             groups = Groups(H=H, q=q, own=H[:, 0], unit=np.ones(q.shape))
-            odds = groups.integrated(DESCRIBED, DESCRIBED) - np.log(len(names))
+            odds = groups.integrated(DESCRIBED, DESCRIBED) - np.log(len(root))
             scale = groups.best_scale(DESCRIBED)
             total = H[:, 0, 0] + scale**-2
             factors = 1.0 + q[:, 0] / total / length
-            # A negative size is not a body: some other effect explains it.
-            odds = np.where((candidates > 0) & (factors > 0), odds, -np.inf)
+            deviations = 1.0 / np.sqrt(total) / length
+            # A negative size is not a body: some other effect explains it. So it does
+            # if the fitted mass contradicts the factor, and is as described.
+            sign = np.sign(factors - 1.0)
+            contradicted = sign * (factors - sizes) > 2 * np.hypot(stds, deviations)
+            possible = ~contradicted | (sign * (sizes - 1.0) > 2 * stds)
+            odds = np.where((candidates > 0) & (factors > 0) & possible, odds, -np.inf)
             best = int(np.argmax(odds))
             if odds[best] <= 0:
                 break
             rivals = np.flatnonzero(odds > odds[best] - RIVALS)
             rivals = rivals[np.argsort(-odds[rivals], kind="stable")]
-            departures.append(
-                Departure(
-                    bodies=tuple(names[k] for k in rivals),
-                    factors=tuple(factors[rivals].tolist()),
-                    stds=tuple((1.0 / np.sqrt(total) / length)[rivals].tolist()),
-                    log_odds=float(odds[best]),
-                )
-            )
+            factors = np.where(contradicted, sizes, factors)
+            yield rivals, factors, np.where(contradicted, stds, deviations), odds[best]
             axis = direction[best]
             widening = np.outer(axis, axis) * (scale[best] ** -2 - DESCRIBED**-2)
             site = sites[best]
             sites[best] = Site(site.precision + widening, site.right)
             candidates[rivals] = 0.0
-        return tuple(departures)
 
 
 def floored_inverse(covariance):
@@ -428,28 +449,43 @@ def _single_departure(description, A, b, factor):
     """Find the body that most probably differs by a factor, all others as described."""
     # Returns the log evidence, the problem and its sites. In the evidence, a Cauchy
     # prior of the log factor replaces the prior of the body's scale. Candidates are
-    # chosen in closed form, with scales and common size as described.
-    n, usual = len(description.names), Site.of_scale(DESCRIBED)
-    problem = _BodyProblem(description, A, b, fixed_size=True)
-    precision, product = problem.marginals([usual] * n)
-    scaled = usual.precision / factor**2
-    change = (factor - 1.0) * _matvec(description.root, description.centre)
-    evidence = -0.5 * np.einsum("ki,ij,kj->k", change, scaled, change)
-    for P, q, sign in (
-        (precision, product, -1.0),
-        (precision - usual.precision + scaled, product + change @ scaled, 1.0),
-    ):
-        explained = np.einsum("ki,ki->k", q, _matvec(np.linalg.inv(P), q))
-        evidence += 0.5 * sign * (explained - np.linalg.slogdet(P)[1])
-    candidates = []
+    # chosen with scales as described.
+    n, results = len(description.names), []
+    factors = np.where(np.eye(n, dtype=bool), factor, 1.0)
+    problems = [_BodyProblem(description.scaled(x), A, b) for x in factors]
+    usual = [Site.of_scale(DESCRIBED)] * n
+    evidence = np.array([problem.log_evidence(usual) for problem in problems])
     for k in np.flatnonzero(evidence >= evidence.max() - RIVALS):
-        factors = np.where(np.arange(n) == k, factor, 1.0)
-        problem = _BodyProblem(description.scaled(factors), A, b)
-        sites = problem.sites()
+        sites = problems[k].sites()
         prior = sites[k].scale / (np.sqrt(2 * np.pi) * DESCRIBED * n)
-        candidates.append((problem.log_evidence(sites) + np.log(prior), problem, sites))
-    best = max(candidates, key=lambda item: item[0])
+        total = problems[k].log_evidence(sites) + np.log(prior)
+        results.append((total, problems[k], sites))
+    best = max(results, key=lambda item: item[0])
     return best[0] - np.log1p((np.log(factor) / DESCRIBED) ** 2), *best[1:]
+
+
+def _loosen(problem, sites):
+    """Find bodies whose description is worse than none, greedily."""
+    # As with a counterweight: in the metric at the described body, a first moment that
+    # falls makes the mass fall. Returns the problem, its sites, the indices and log
+    # evidence of the bodies found in each step, and a mask of all.
+    found, unknown = [], np.zeros(len(sites), dtype=bool)
+    while True:
+        evidence, gains = problem.log_evidence(sites), np.zeros(unknown.size)
+        for k in np.flatnonzero([x.scale > _UNKNOWN_SCALE for x in sites] & ~unknown):
+            loose = problem.description.loosened(np.arange(unknown.size) == k)
+            trial = replace(problem, description=loose)
+            gains[k] = trial.log_evidence(trial.sites()) - evidence
+        best = gains.max()
+        if best <= RIVALS:
+            return problem, sites, found, unknown
+        # Its rivals are unknown, too.
+        order = np.argsort(-gains, kind="stable")
+        found.append((order[gains[order] > best - RIVALS], best))
+        unknown[found[-1][0]] = True
+        description = problem.description.loosened(unknown)
+        problem = replace(problem, description=description)
+        sites = problem.sites()
 
 
 def around(description, A, b):
@@ -474,7 +510,10 @@ def around(description, A, b):
         # If both explain the torques equally well, the unit is uncertain.
         if departure[0] > problem.log_evidence(sites) + RIVALS:
             _, problem, sites = departure
-            scale, (mean, root) = 1.0, problem.solve(sites)
+            scale = 1.0
+    problem, sites, found, unknown = _loosen(problem, sites)
+    mean, root = problem.solve(sites)
+    description = description.loosened(unknown)
     precision = problem.precision(sites)
     centre = problem.centre
     parameter_root = root[:-1] + np.outer(centre, root[-1])
@@ -487,17 +526,32 @@ def around(description, A, b):
     covariance[~determined, ~determined] = np.inf
     prior_std = np.full(b.size, np.nan)
     prior_std[description.places] = problem.description.deviation(sites)
+    prior_std[description.places[unknown]] = np.inf
     common, common_std = scale * (1.0 + mean[-1]), scale * np.linalg.norm(root[-1])
     # Search for departures at the described size, unless the unit differs.
     same_unit = abs(common - 1.0) < _SIZE_DEVIATIONS * common_std
     tested = _BodyProblem(description, A, b, fixed_size=True) if same_unit else problem
+    theta, mass = centre + (mean[:-1] + mean[-1] * centre), description.places[:, 0]
+    similar = _CONTRADICTED < common < 1.0 / _CONTRADICTED
+    described = (1.0 if similar else scale) * description.centre[:, 0]
+    sizes, stds = theta[mass] / described, np.sqrt(covariance[mass, mass]) / described
+    departures = [(group, sizes, stds, gain) for group, gain in found]
+    departures += tested.departures(sizes, stds)
     return BodyPosterior(
-        theta=centre + (mean[:-1] + mean[-1] * centre),
+        theta=theta,
         covariance=covariance,
         prior=prior,
         prior_std=prior_std,
         centre=centre + mean[-1] * centre,
-        departures=tested.departures(),
+        departures=tuple(
+            Departure(
+                bodies=tuple(description.names[k] for k in group),
+                factors=tuple(factors[group].tolist()),
+                stds=tuple(deviations[group].tolist()),
+                log_odds=float(log_odds),
+            )
+            for group, factors, deviations, log_odds in departures
+        ),
         common_size=common,
         torque_size=(common, common_std / abs(common)),
     )

@@ -117,6 +117,17 @@ def test_a_link_without_inertia_in_the_description_has_a_body(recording):
     assert mass[1] > 0.5
 
 
+def test_a_counterweight_is_found_on_its_link():
+    real, weight = a_robot(), pin.Inertia.FromSphere(3.0, 0.05)
+    real.appendBodyToJoint(2, weight, pin.SE3(np.eye(3), np.array([0, 0, -0.3])))
+    robot = fitted(a_robot(), recorded(real))
+    (one,) = robot.mass_deviations_
+    assert one.bodies == ("joint_2",)
+    mass, std = bodies(robot)[:, 0], robot.theta_std_.reshape(3, -1)[:, 0]
+    np.testing.assert_array_less(np.abs(mass - [3.0, 5.0, 1.0])[1:], 3.0 * std[1:])
+    assert robot.robot_.known_[14] != "from the description"
+
+
 @pytest.mark.parametrize("factor", [0.6, 1.5])
 def test_a_last_body_that_differs_is_not_another_unit(recording, factor):
     q, tau = recording

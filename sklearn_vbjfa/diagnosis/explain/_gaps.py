@@ -30,9 +30,6 @@ _FREE_STD = 1e4
 _PENALTY = 5.0
 
 
-# -- dependence of residuals on signals ------------------------------------------------
-
-
 @dataclass(frozen=True, kw_only=True)
 class Dependence:
     """How much of a joint's residual a signal explains out of sample."""
@@ -77,9 +74,6 @@ def motion_signals(motion, names):
         signals["time"] = motion.t
     # Constant signals cannot be binned.
     return signals | {k: x for k, x in motion.signals.items() if np.ptp(x) > 0}
-
-
-# -- residuals above the noise floor ---------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,9 +139,6 @@ def memory_seconds(search):
     stride = max(1, int(np.ceil(0.5 / (view.robot.cutoff_ * view.step) - 1e-9)))
     residual = _residuals(search).T
     return correlation_time(residual, view.root, view.step, view.starts, stride)
-
-
-# -- effects that are not identifiable -------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -253,9 +253,6 @@ def _settings(loop, search):
     }
 
 
-# -- facts -----------------------------------------------------------------------------
-
-
 def parameter_values(robot):
     """Return the parameters of a fitted identifier, a tuple of Fact."""
     features, nominal = robot.features_, np.full(robot.theta_.size, np.nan)

@@ -200,9 +200,6 @@ class RecordingMoments:
         return errors
 
 
-# -- contradictions --------------------------------------------------------------------
-
-
 def contradictions(parts, spread, alpha):
     """Find each `Contradiction` between recordings; none if parts is None."""
     errors = {} if parts is None else parts.inconsistent(spread)

@@ -30,9 +30,6 @@ def grouped(items, key):
     return list(groups.items())
 
 
-# -- effects of the robot model --------------------------------------------------------
-
-
 def value_cells(effect):
     """Format the parameters of an effect of the robot model, a list."""
     # In degrees, mm, and per cent by which a gain is too high or too low.
@@ -70,9 +67,6 @@ def remedies(outcome):
     return corrections
 
 
-# -- ranges ----------------------------------------------------------------------------
-
-
 def range_text(outcome, joint, quantity, pair):
     """Format a range with its unit, "-1.2 to 1.3 rad"."""
     unit = _UNITS[quantity][int(outcome.errors[joint].position_unit == "m")]
@@ -102,9 +96,6 @@ def motion_plan(outcome, joints):
             )
         )
     return rows
-
-
-# -- findings --------------------------------------------------------------------------
 
 
 def unexplained_groups(outcome):
@@ -143,9 +134,6 @@ def to_record(outcome, status, signal_advice, no_period):
     return wanted
 
 
-# -- masses and parameters -------------------------------------------------------------
-
-
 def agrees(mass, nominal, least=_MASS_RATIO):
     """Whether a mass agrees with that of the robot description."""
     return min(mass, nominal) >= least * max(mass, nominal)
@@ -154,9 +142,6 @@ def agrees(mass, nominal, least=_MASS_RATIO):
 def with_half(value, std):
     """Format a value with the half-width of its 90 % interval."""
     return words.with_error(value, (value - HALF_WIDTH * std, value + HALF_WIDTH * std))
-
-
-# -- errors ----------------------------------------------------------------------------
 
 
 def error_rows(outcome, left_out=()):

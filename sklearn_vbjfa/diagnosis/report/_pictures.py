@@ -145,18 +145,13 @@ def residuals(outcome, curves):
 
 def ticks(low, high):
     """Return round values between two limits with their labels, a tuple of pairs."""
-    step = _step(high - low)
+    power = 10.0 ** np.floor(np.log10((high - low) / _STEPS))
+    steps = (k * power for k in (1, 2, 5, 10))
+    step = next(step for step in steps if (high - low) / step <= _STEPS + 1e-9)
     first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
     # Adding zero removes the sign of a negative zero.
     values = (step * np.arange(first, last + 1) + 0.0).tolist()
     return tuple((value, words.number(value, 4)) for value in values)
-
-
-def _step(length):
-    """Return the smallest step of 1, 2, 5, 10, ... with at most `_STEPS` steps."""
-    power = 10.0 ** np.floor(np.log10(length / _STEPS))
-    steps = (k * power for k in (1, 2, 5, 10))
-    return next(step for step in steps if length / step <= _STEPS + 1e-9)
 
 
 def ends_of(values):

@@ -27,9 +27,6 @@ _NO_BREAK = re.compile(
 _SIGNS = (("+-", "±"), ("^2", "²"), ("^3", "³"), (" %", "\u00a0%"))
 
 
-# -- environments ----------------------------------------------------------------------
-
-
 @lru_cache
 def environment(is_page, package=__package__):
     """Return the Jinja environment of a package, for pages or for plain text."""
@@ -61,16 +58,11 @@ def line(text):
     return re.sub(r"\s+([.,;)])(?=[\s.,;)]|$)", r"\1", " ".join(str(text).split()))
 
 
-def _each(macro, items):
-    """Apply a macro to each item, a list of lines."""
-    return [line(macro(item)) for item in items]
-
-
 # Functions for templates: those of `words`, and a few more.
 _FUNCTIONS = {name: x for name, x in vars(words).items() if callable(x)} | {
     "above_floor": ABOVE_FLOOR[0],
     "agrees": _facts.agrees,
-    "each": _each,
+    "each": lambda macro, items: [line(macro(item)) for item in items],
     "finite": lambda x: bool(np.isfinite(x)),
     "half_width": HALF_WIDTH,
     "height": _pictures.HEIGHT,
@@ -174,9 +166,6 @@ def _page_value(value):
         for plain, sign in _SIGNS:
             value = value.replace(plain, sign)
     return value
-
-
-# -- a terminal ------------------------------------------------------------------------
 
 
 def _wrapped(text, indent="  "):

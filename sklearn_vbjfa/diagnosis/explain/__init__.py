@@ -5,7 +5,7 @@ from sklearn_vbjfa import _lazily
 # For the report, the command line and tests; users get them from `EffectDiscovery`.
 _MODULES = {
     "_curves": "torque_curves",
-    "_effects": "DiscoveredEffect named_values",
+    "_effects": "DiscoveredEffect discovered_effects named_values",
     "_errors": "NEXT_SECONDS error_intervals held_out_errors",
     "_final": "EffectEstimate FinalFit",
     "_gaps": """

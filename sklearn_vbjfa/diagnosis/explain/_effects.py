@@ -1,5 +1,6 @@
 """Discovered effects, with values and intervals of the final fit."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +11,11 @@ from sklearn_vbjfa.effects import InModel, OfChannel, OfRobot, Shaped
 
 # Warnings on effects whose values are too uncertain for them to be reported.
 _UNKNOWN = "no parameter of it is known from zero"
-# Relative rounding error of a parameter.
-_ROUNDING = 1e-10
+# Relative rounding error of a parameter, and largest logarithm of a half-width.
+_ROUNDING, _MAX_LOG = 1e-10, 99.0
 _UNSURE = "its value is not known well enough to correct anything"
 _DIFFERING = "the recordings contradict each other on this joint"
+_RISING = "the held-out error rose"
 
 # Share of effects with a warning that are true, in simulated recordings: their noise
 # never follows the likelihood exactly.
@@ -60,18 +62,24 @@ class DiscoveredEffect:
         return not ends or any(low > 0 or high < 0 for low, high in ends)
 
 
-def discovered_effects(search, final, names, prismatic, contradicting):
+def discovered_effects(search, final, names, prismatic, contradicting, rising):
     """Yield each `DiscoveredEffect`, with the values of the final fit."""
+    # contradicting, rising: joints on which recordings contradict each other, and on
+    # which the completed model has a larger error on held-out data.
     for finding, effect, estimate in zip(
         search.findings, final.effects, final.effect_estimates
     ):
         values, deviations = named_values(effect, estimate)
         deviations = {key: std for key, std in deviations.items() if std > 0}
         half = float(special.stdtrit(estimate.freedom, 0.95))
-        intervals = {
-            key: (values[key] - half * std, values[key] + half * std)
-            for key, std in deviations.items()
-        }
+        intervals = {}
+        for key, std in deviations.items():
+            value, width = values[key], half * std
+            intervals[key] = value - width, value + width
+            if key in getattr(effect, "positive", ()):
+                # On the logarithm, so that the interval is positive.
+                factor = math.exp(min(width / value, _MAX_LOG))
+                intervals[key] = value / factor, value * factor
         warning = finding.warning
         if not warning and isinstance(effect, InModel):
             nominal = dict(zip(effect.coefficients, effect.nominal))
@@ -82,8 +90,9 @@ def discovered_effects(search, final, names, prismatic, contradicting):
             # The magnitude of a channel effect is a shape parameter.
             size = estimate if isinstance(effect, OfChannel) else estimate.given_shape()
             warning = "" if _is_significant(effect, size, half) else _UNKNOWN
-        if not warning and not contradicting.isdisjoint(effect.acts_on(len(names))):
-            warning = _DIFFERING
+        for joints, text in ((contradicting, _DIFFERING), (rising, _RISING)):
+            if not warning and not joints.isdisjoint(effect.acts_on(len(names))):
+                warning = text
         units = effect.parameter_units(prismatic[effect.joint])
         rivals = (_rival_name(rival, effect, names) for rival in finding.rivals)
         yield DiscoveredEffect(

@@ -134,9 +134,7 @@ def error_intervals(held_out, searched, spread, step):
             variance = ((cosines @ values) ** 2).mean(axis=0) * factor
             return special.stdtrit(freedom, 0.95) * np.sqrt(variance)
 
-        ends = np.array([[-1.0], [1.0]])
-        change = ends * half_width(after * logs[1] - before * logs[0])
-        return {
-            "after": after * np.exp(ends * half_width(logs[1])),
-            "difference": after - before + change,
-        }
+        ends, change = np.array([[-1.0], [1.0]]), after * logs[1] - before * logs[0]
+        difference = after - before + ends * half_width(change)
+        after = after * np.exp(ends * half_width(logs[1]))
+        return {"after": after, "difference": difference}

@@ -27,9 +27,9 @@ from sklearn_vbjfa.robot._channels import HALF_WIDTH
 from sklearn_vbjfa.robot._corrections import corrections_of
 from sklearn_vbjfa.robot._posterior import body_indices
 
-# Position or velocity limits that count as unlimited, and error of torques
-# that follow the description.
-_UNLIMITED, _WELL = 1e3, 0.2
+# Position or velocity limits that count as unlimited, error of torques that follow
+# the description, and increase of an error that is tolerated.
+_UNLIMITED, _WELL, _WORSE = 1e3, 0.2, 1.05
 # Attributes of curves that are readings of torque channels.
 _READINGS = {"measured", "before", "after", "predicted", "residual"}
 
@@ -139,8 +139,12 @@ def make_outcome(loop, search, final, judged, channels, whole):
     )
     names, errors = identifier.joint_names_, np.where(enough, after, np.nan)
     differing = contradictions(parts, spread, loop.alpha)
-    joints = {x.joint for x in differing}
-    effects = tuple(discovered_effects(search, final, names, prismatic, joints))
+    least = np.fmin(columns["before"], columns["plain"])
+    rose = (errors > _WORSE * least) & ~(errors <= columns["floor"])
+    # None if the mean error fell.
+    rose &= np.nansum(errors - least) > 0
+    joints = {x.joint for x in differing}, {*np.flatnonzero(rose).tolist()}
+    effects = tuple(discovered_effects(search, final, names, prismatic, *joints))
     judged_effects = loop.validation_model_.effects_
     parameters = parameter_values(identifier)
     units, curves = np.where(prismatic, "N", "N m").tolist(), judged["curves"]
@@ -256,6 +260,7 @@ def _settings(loop, search):
 def parameter_values(robot):
     """Return the parameters of a fitted identifier, a tuple of Fact."""
     features, nominal = robot.features_, np.full(robot.theta_.size, np.nan)
+    joints = robot.joint_names_
     if robot.gains_ is None or robot.gains_.absolute:
         # Unknown gains of the torque channels scale all values.
         bodies = nominal_parameters(features.nominal_), nominal_followers(features)
@@ -268,7 +273,12 @@ def parameter_values(robot):
         Fact(
             kind="parameter",
             name=name,
-            joint=_joint_of(name, robot.joint_names_),
+            # The longest match, since names may contain colons.
+            joint=max(
+                (j for j, x in enumerate(joints) if name.startswith(f"{x}:")),
+                key=lambda j: len(joints[j]),
+                default=None,
+            ),
             value=value,
             interval=tuple(interval),
             unit=unit,
@@ -284,12 +294,6 @@ def parameter_values(robot):
             nominal.tolist(),
         )
     )
-
-
-def _joint_of(name, joints):
-    """Return the joint of a parameter name, from zero; None for the robot."""
-    matches = [j for j, joint in enumerate(joints) if name.startswith(f"{joint}:")]
-    return max(matches, key=lambda j: len(joints[j]), default=None)
 
 
 def _masses(robot, parameters):

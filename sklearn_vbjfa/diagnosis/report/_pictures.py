@@ -87,11 +87,8 @@ def torques(outcome, curves):
     floor = joint.floor * joint.spread
     # The prediction of the declared model is drawn last, to show where both agree; its
     # residual is drawn first.
-    upper = {
-        "measured": curves.measured,
-        "line-after": curves.after,
-        "line-before": curves.before,
-    }
+    lines = (curves.measured, curves.after, curves.before)
+    upper = dict(zip(("measured", "line-after", "line-before"), lines))
     lower = {
         kind: np.where(curves.counts, curves.measured - upper[kind], np.nan)
         for kind in ("line-before", "line-after")

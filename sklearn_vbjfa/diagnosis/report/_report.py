@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import numbers
+from dataclasses import replace
 
 import numpy as np
 from sklearn.base import BaseEstimator
@@ -12,6 +13,8 @@ from sklearn_vbjfa.diagnosis.report import _facts
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._render import Renderer
 from sklearn_vbjfa.diagnosis.report._verdict import NO_ANSWER, judge
+
+_USE = ("name", "allowed", "reason")
 
 
 class Report:
@@ -59,14 +62,9 @@ class Report:
         self._renderer = Renderer(outcome, verdict)
         say = self._renderer
         self.status = verdict.status
-        self.joints = tuple(
-            dataclasses.replace(joint, text=say("joint_text", joint))
-            for joint in verdict.joints
-        )
-        self.uses = tuple(
-            dataclasses.replace(use, reason=say("use_reason", use))
-            for use in verdict.uses
-        )
+        joints, uses = verdict.joints, verdict.uses
+        self.joints = tuple(replace(x, text=say("joint_text", x)) for x in joints)
+        self.uses = tuple(replace(x, reason=say("use_reason", x)) for x in uses)
         self.headline = say("headline")
         self.verdict = f"{self.headline} {say('errors')}".rstrip()
         self.warnings = self._warnings(verdict.faults)
@@ -140,10 +138,7 @@ class Report:
             "status": self.status,
             "headline": self.headline,
             "verdict": self.verdict,
-            "uses": [
-                {"name": x.name, "allowed": x.allowed, "reason": x.reason}
-                for x in self.uses
-            ],
+            "uses": [{k: getattr(x, k) for k in _USE} for x in self.uses],
             "warnings": self.warnings,
             "joint_names": [joint.name for joint in outcome.errors],
             "errors": outcome.errors,

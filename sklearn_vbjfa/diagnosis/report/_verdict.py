@@ -118,15 +118,16 @@ def _joint_status(outcome, j):
         return {"status": "worse"}
     if not joint.searched:
         return {"status": "unsearched"}
+    large = {"detail": "large" * (after > _LARGE)}
     if not np.isfinite(floor):
-        return {"status": "unknown"}
+        return {"status": "unknown"} | large
     if any(u.joint == j for u in outcome.findings["unexplained"]):
-        return {"status": "unexplained"}
+        return {"status": "unexplained"} | large
     least = np.nan_to_num(joint.intervals["after"][0], nan=np.inf)
     lower, upper = (factor * floor for factor in ABOVE_FLOOR)
     # Held-out errors also contain the error of the parameters, which the floor lacks.
     if after > upper and least > lower:
-        return {"status": "above", "detail": "large" * (after > _LARGE)}
+        return {"status": "above"} | large
     if after > (lower if least > floor else upper):
         return {"status": "floor", "detail": "far" if after > upper else "near"}
     high = joint.intervals["added"][1]
@@ -237,11 +238,8 @@ def _masses(outcome, whole):
     uses = []
     for names, reason in ((identified, ""), (others, whole or "masses")):
         if names:
-            name = (
-                f"link masses of {words.join(names, 3)}"
-                if identified and others
-                else "link masses"
-            )
+            some = f" of {words.join(names, 3)}" if identified and others else ""
             causes = ((reason, []),) if reason else ()
+            name = f"link masses{some}"
             uses.append(Use(name=name, allowed=not reason, causes=causes))
     return tuple(uses)

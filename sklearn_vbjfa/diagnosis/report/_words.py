@@ -12,6 +12,8 @@ from sklearn_vbjfa.effects import OfRobot, available
 _MIN_P = 1e-12
 # Logarithm of the odds of a million to one.
 _MAX_LOG_ODDS = math.log(1e6)
+# Intervals whose centre differs by more than this share of the half-width have no sign.
+_SKEWED = 0.1
 
 
 def joint_label(names, joint):
@@ -139,7 +141,7 @@ def odds_text(log_odds):
 
 
 def with_error(value, interval=None, unit=""):
-    """Format a value with the half-width of its 90 % interval, both rounded."""
+    """Format a value with its 90 % interval, by the half-width if symmetric."""
     unit = f" {unit}" if unit else ""
     if isinstance(value, str):
         return value
@@ -147,6 +149,8 @@ def with_error(value, interval=None, unit=""):
     half = 0.5 * (interval[1] - interval[0]) if finite else 0.0
     if not half > 0:
         return number(value) + unit
+    if interval[0] > 0 and abs(0.5 * sum(interval) - value) > _SKEWED * half:
+        return f"{number(value)} ({' to '.join(number(x, 2) for x in interval)}){unit}"
     size = math.floor(math.log10(half))
     # A leading 1 gets a second digit: rounding it would change the value by up to half.
     size -= half / 10**size < 1.95
@@ -155,9 +159,8 @@ def with_error(value, interval=None, unit=""):
         power = math.floor(math.log10(largest))
         digits = max(power - size, 0)
         scale = 10.0**power
-        return (
-            f"({value / scale:.{digits}f} +- {half / scale:.{digits}f})e{power}{unit}"
-        )
+        pair = f"{value / scale:.{digits}f} +- {half / scale:.{digits}f}"
+        return f"({pair})e{power}{unit}"
     digits = max(-size, 0)
     return f"{round(value, -size):.{digits}f} +- {round(half, -size):.{digits}f}{unit}"
 

@@ -1,6 +1,7 @@
 """Coverage of the intervals of errors and of parameters."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.diagnosis.explain import (
     NEXT_SECONDS,
     EffectEstimate,
+    discovered_effects,
     error_intervals,
     named_values,
 )
@@ -316,3 +318,22 @@ def test_a_fixed_shape_narrows_coefficient_intervals(identifiable):
     stds = named_values(Stribeck(vs=0.2), estimate.given_shape())[1]
     expected = 1 / 30.0 if identifiable else np.sqrt(covariance[0, 0])
     assert_allclose(stds["Fs"], expected, rtol=1e-6)
+
+
+def test_positive_shapes_have_positive_intervals_and_a_rise_is_a_warning():
+    estimate = EffectEstimate(
+        coef=np.array([0.5]), shape=("vs",), covariance=0.01 * np.eye(2), freedom=30.0
+    )
+    found = SimpleNamespace(warning="", rivals=(), evidence=None)
+    search = SimpleNamespace(findings=[found])
+    final = SimpleNamespace(
+        effects=[Stribeck(joint=0, vs=0.05)], effect_estimates=[estimate]
+    )
+    for rising in (set(), {0}):
+        names = search, final, ["j1"], [False], set(), rising
+        (effect,) = discovered_effects(*names)
+        low, high = effect.intervals["vs"]
+        assert 0 < low < 0.05 < high
+        assert low * high == pytest.approx(0.05**2)
+        assert ("rose" in effect.warning) == bool(rising)
+    assert any(" to " in text for text in parameter_text(effect))

@@ -94,10 +94,13 @@ def test_an_insignificant_increase_is_noted_with_the_uses():
 
 def test_a_large_error_is_noted_with_the_uses():
     for after in (0.4, 0.6):
-        outcome = make_outcome(unexplained=(2,), channels=(), after=np.full(6, after))
+        outcome = make_outcome(channels=(), after=np.full(6, after))
         use, *_ = Report(outcome).uses
-        assert use.allowed
-        assert ("error above half of the torque" in use.reason) == (after > 0.5)
+        assert "error above half of the torque" in use.reason or after < 0.5
+        for floor in (0.01, np.nan):
+            more = {"after": np.full(6, after), "floor": np.full(6, floor)}
+            outcome = make_outcome(unexplained=(2,), channels=(), **more)
+            assert Report(outcome).uses[0].allowed == (after < 0.5)
 
 
 def test_any_increase_on_a_joint_with_an_effect_is_noted():

@@ -161,11 +161,6 @@ class BodyPrior:
         roots = {"root": self.root / size, "loose": self.loose / size}
         return replace(self, centre=size[:, 0] * self.centre, **roots)
 
-    def deviation(self, sites):
-        """Return the prior deviations (n, 10) at the scales of sites."""
-        std = np.sqrt((np.linalg.inv(self.root) ** 2).sum(axis=2))
-        return std * np.array([[site.scale] for site in sites])
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyPosterior:
@@ -525,7 +520,8 @@ def around(description, A, b):
     determined = np.diagonal(A) + np.diagonal(prior) > 0
     covariance[~determined, ~determined] = np.inf
     prior_std = np.full(b.size, np.nan)
-    prior_std[description.places] = problem.description.deviation(sites)
+    deviations = np.sqrt((np.linalg.inv(problem.description.root) ** 2).sum(axis=2))
+    prior_std[description.places] = deviations * [[site.scale] for site in sites]
     prior_std[description.places[unknown]] = np.inf
     common, common_std = scale * (1.0 + mean[-1]), scale * np.linalg.norm(root[-1])
     # Search for departures at the described size, unless the unit differs.
@@ -535,8 +531,9 @@ def around(description, A, b):
     similar = _CONTRADICTED < common < 1.0 / _CONTRADICTED
     described = (1.0 if similar else scale) * description.centre[:, 0]
     sizes, stds = theta[mass] / described, np.sqrt(covariance[mass, mass]) / described
-    departures = [(group, sizes, stds, gain) for group, gain in found]
-    departures += tested.departures(sizes, stds)
+    names = np.array(description.names, dtype=object)
+    departures = [(group, names, sizes, stds, gain) for group, gain in found]
+    departures += ((x[0], names, *x[1:]) for x in tested.departures(sizes, stds))
     return BodyPosterior(
         theta=theta,
         covariance=covariance,
@@ -544,13 +541,8 @@ def around(description, A, b):
         prior_std=prior_std,
         centre=centre + mean[-1] * centre,
         departures=tuple(
-            Departure(
-                bodies=tuple(description.names[k] for k in group),
-                factors=tuple(factors[group].tolist()),
-                stds=tuple(deviations[group].tolist()),
-                log_odds=float(log_odds),
-            )
-            for group, factors, deviations, log_odds in departures
+            Departure(*(tuple(x[group].tolist()) for x in values), float(log_odds))
+            for group, *values, log_odds in departures
         ),
         common_size=common,
         torque_size=(common, common_std / abs(common)),

@@ -85,7 +85,7 @@ class Renderer:
     def __init__(self, outcome, verdict):
         self._outcome = outcome
         names, library = outcome.robot["joints"], outcome.robot["library"]
-        self._values = {
+        self.values = {
             "o": outcome,
             "findings": outcome.findings,
             "robot": outcome.robot,
@@ -111,13 +111,9 @@ class Renderer:
             "in_model": lambda name: isinstance(library[name], InModel),
         }
         sentences = environment(False).get_template("sentences.j2")
-        self._module = sentences.make_module(self._values)
+        self._module = sentences.make_module(self.values)
         advice = self._module.signal_advice, self._module.no_period
-        self.add(wanted=_facts.to_record(outcome, verdict.status, *advice))
-
-    def add(self, **values):
-        """Add values for the templates of the page and the terminal."""
-        self._values |= values
+        self.values["wanted"] = _facts.to_record(outcome, verdict.status, *advice)
 
     def __call__(self, name, *values):
         """Render a sentence as one line, empty if it does not apply."""
@@ -126,12 +122,12 @@ class Renderer:
     def text(self):
         """Render the report for a terminal."""
         template = environment(False).get_template("terminal.txt.j2")
-        text = template.render(self._values, table=text_table)
+        text = template.render(self.values, table=text_table)
         return re.sub(r"\n{2,}(?=- )", "\n", text).strip("\n")
 
     def sections(self, *, whole):
         """Render nonempty sections: heading, anchor, markup and glossary."""
-        values = self._values | {"whole": whole}
+        values = self.values | {"whole": whole}
         module = environment(True).get_template("sections.html.j2").make_module(values)
         seen, sections = set(), []
         for heading, macro in module.order:

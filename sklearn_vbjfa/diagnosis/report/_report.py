@@ -68,9 +68,8 @@ class Report:
         self.headline = say("headline")
         self.verdict = f"{self.headline} {say('errors')}".rstrip()
         self.warnings = self._warnings(verdict.faults)
-        self._renderer.add(
-            verdict=self.verdict, joint_verdicts=self.joints, uses=self.uses
-        )
+        texts = {"verdict": self.verdict, "joint_verdicts": self.joints}
+        self._renderer.values |= texts | {"uses": self.uses}
 
     def _warnings(self, faults):
         """List the warnings that forbid a use, inconsistent recordings first."""

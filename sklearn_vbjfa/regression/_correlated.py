@@ -32,13 +32,14 @@ LARGEST_FRACTION = 1 / 3
 # bound the inputs' noise.
 SAMPLES_PER_INPUT = 2
 
-
-# Decrease of the bound for each further precision with a prior over fourteen units of
-# its logarithm, relative to a prior over two units.
-PRECISION_COST = float(-np.log(1e-6)) - 2.0
-# Correction of the bound for each coefficient beyond the number of samples, whose
-# posterior is its prior: q(beta) q(alpha) loses 0.6, and 0.5 separates models best.
-UNDETERMINED = 0.5
+# Options of the two regressions for few samples. With the Gamma shape 0.5 coefficients
+# have a Cauchy prior: an input must improve the fit by more than the best of many do by
+# chance.
+PRIORS = {"ard_shape": 0.5}, {"common": True}
+# Corrections of the bound, for each coefficient and once, that separate few from many
+# relevant inputs best: q(beta) q(alpha) loses 0.4 for a pruned coefficient, and the
+# prior of a common precision spans fourteen units of its logarithm.
+UNKNOWN, KNOWN = (0.55, -6.0), (0.4, -11.8)
 
 
 # In standardised units, over all active columns: linear models for the two kinds of
@@ -155,14 +156,13 @@ def _fit_few(m, psi, solve, cross, dof):
     exact = np.zeros_like(m.S)
     # The floor keeps the rounding errors of an interpolation from counting as noise.
     solution, in_common = (
-        solve(m, exact, common=common, floor=OUTPUT_FLOOR) for common in (False, True)
+        solve(m, exact, floor=OUTPUT_FLOOR, **prior) for prior in PRIORS
     )
     state = solution.state
-    variance = np.diagonal(state.beta_cov)
-    noisy = noiseless = _average(m, solution, in_common, evidence=0.0)
+    noisy = noiseless = _average(m, solution, in_common, evidence=UNKNOWN)
     if psi is not None and psi.any():
         noiseless = _calibrated(m, psi, solve, cross, dof)
-    relevant = state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance
+    relevant = state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * np.diagonal(state.beta_cov)
     psi = exact if psi is None else psi
     return CorrelatedFit(noisy, noiseless, solution, solution, relevant, psi)
 
@@ -179,11 +179,11 @@ def _calibrated(m, psi, solve, cross, dof):
     direct = np.zeros(d) if cross is None else direct_share(psi, cross)
     expected = replace(m, R=m.R @ latent.H.T, z=m.z - m.R @ direct)
     solutions, exact = [], np.zeros_like(psi)
-    for common in (False, True):
-        beta = solve(expected, exact, common=common).state.beta_mean
+    for prior in PRIORS:
+        beta = solve(expected, exact, **prior).state.beta_mean
         # The noise of y given x is at least that of beta't.
         least = beta @ P @ beta
-        solutions.append(solve(expected, exact, common=common, floor=least))
+        solutions.append(solve(expected, exact, floor=least, **prior))
     # As with many samples, relevant inputs have a common precision.
     ard, coef = solutions[0], np.zeros(d)
     kept = _relevant_inputs(expected, np.arange(d), ard, solve)
@@ -192,7 +192,7 @@ def _calibrated(m, psi, solve, cross, dof):
     few = solve(expected.columns(kept), none, common=True, floor=least).state
     coef[kept] = few.beta_mean
     solutions[0] = replace(ard, state=replace(few, beta_mean=coef))
-    model = _average(m, *solutions, evidence=UNDETERMINED * max(d - n, 0))
+    model = _average(m, *solutions, evidence=KNOWN)
     beta, state = model.coef, solutions[1].state
     noise = max(model.noise - beta @ P @ beta, 0.0)
     # Sampling errors of the input covariance (n samples) and of psi, see [C14].
@@ -262,8 +262,8 @@ def _average(m, solution, other, *, evidence=None):
     # wrong one fits badly.
     share = 0.5
     if evidence is not None:
-        gain = solution.history[-1] - other.history[-1] + evidence
-        share = float(expit(gain + (m.xx.size - 1) * PRECISION_COST))
+        gain = solution.history[-1] - other.history[-1]
+        share = float(expit(gain + evidence[0] * m.xx.size + evidence[1]))
     first, second = solution.state, other.state
     coef = share * first.beta_mean + (1 - share) * second.beta_mean
     cov = second.beta_cov + _square(second.beta_mean - coef)

@@ -30,7 +30,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
     With the default ``query="noisy"`` this is Bayesian regression for predictions from
     inputs that are as noisy as the fitted ones. It equals least squares with many rows,
     and is better with many, correlated or irrelevant inputs. With fewer rows than
-    inputs it assumes that few inputs matter; if all do, ridge regression is better.
+    inputs, more than 64, it assumes that few matter; if all do, use ridge regression.
     ``query="noiseless"`` corrects the bias by input noise, for planned motions, better
     instruments and coefficients with a meaning. It needs the size of the noise
     (`input_noise`, `replicate_noise`); without it the data only bound the coefficients.

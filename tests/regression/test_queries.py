@@ -88,6 +88,22 @@ def test_known_noise_helps_with_few_rows():
     assert np.mean(errors, axis=0)[0] < min(0.6, np.mean(errors, axis=0)[1])
 
 
+@pytest.mark.parametrize("n_samples", [40, 50])
+@pytest.mark.parametrize("n_relevant", [0, 3, 50])
+def test_few_rows_do_not_interpolate(n_relevant, n_samples):
+    errors, wrong = [], []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        coef = np.where(np.arange(50) < n_relevant, rng.choice([-1, 1], 50), 0.0)
+        X = rng.normal(size=(n_samples, 50))
+        y = X @ coef + rng.normal(size=n_samples)
+        model = VBJFARegressor().fit(X, y)
+        errors.append(np.sum((model.coef_ - coef) ** 2) / (coef @ coef or 1.0))
+        wrong.extend(model.relevant_[n_relevant:])
+    assert np.mean(errors) < {0: 0.4, 3: 0.2, 50: 0.4}[n_relevant]
+    assert not wrong or np.mean(wrong) < 0.06
+
+
 @pytest.mark.parametrize("fraction", [0.0, 0.2])
 def test_intervals_cover_as_they_say(fraction):
     # 60 data sets of four coefficients: a binomial deviation of 2 %.

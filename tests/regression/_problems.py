@@ -1,4 +1,4 @@
-"""Regression problems with noise in the inputs, and how two fits are compared."""
+"""Regression problems with input noise, and the comparison of two fits."""
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -31,30 +31,30 @@ def bayesian_ridge(A, b):
     return ridge, cov, noise
 
 
-def assert_same_fit(model, other, *, x_unit=1.0, y_unit=1.0, rtol=1e-6):
-    """Assert that `model`, fitted in units of x_unit and y_unit, is `other`.
+def assert_same_fit(model, reference, *, x_unit=1.0, y_unit=1.0, rtol=1e-6):
+    """Assert that `model`, fitted in other units, equals `reference`.
 
-    `x_unit` (scalar or one for each feature) and `y_unit` are what the columns of
-    `model` were multiplied by.
+    `x_unit` (scalar or one for each feature) and `y_unit` are the factors of the
+    columns of `model`.
     """
-    x_unit = np.broadcast_to(x_unit, other.coef_.shape)
+    x_unit = np.broadcast_to(x_unit, reference.coef_.shape)
     ratio = y_unit / x_unit
-    finite = np.isfinite(other.coef_std_)
-    scale = np.abs(other.coef_noisy_).max() + 1e-300
+    finite = np.isfinite(reference.coef_std_)
+    scale = np.abs(reference.coef_noisy_).max() + 1e-300
     for name, unit in (
         ("coef_", ratio),
         ("coef_noisy_", ratio),
         ("coef_std_", np.abs(ratio)),
     ):
-        ours, theirs = getattr(model, name) / unit, getattr(other, name)
-        np.testing.assert_array_equal(np.isfinite(ours), np.isfinite(theirs))
-        assert_allclose(ours[finite], theirs[finite], rtol=rtol, atol=rtol * scale)
-    y_scale = np.sqrt(other._query_noise) + abs(other.intercept_)
-    shift = (model.intercept_ / y_unit - other.intercept_) / y_scale
+        found, expected = getattr(model, name) / unit, getattr(reference, name)
+        np.testing.assert_array_equal(np.isfinite(found), np.isfinite(expected))
+        assert_allclose(found[finite], expected[finite], rtol=rtol, atol=rtol * scale)
+    y_scale = np.sqrt(reference._query_noise) + abs(reference.intercept_)
+    shift = (model.intercept_ / y_unit - reference.intercept_) / y_scale
     assert abs(shift) < rtol
     noise = model.input_noise_
     unit = x_unit**2 if noise.ndim == 1 else np.outer(x_unit, x_unit)
-    assert_allclose(noise / unit, other.input_noise_, rtol=rtol, atol=1e-12)
-    assert_allclose(model.output_noise_ / y_unit**2, other.output_noise_, rtol=rtol)
-    if hasattr(other, "relevant_"):
-        np.testing.assert_array_equal(model.relevant_, other.relevant_)
+    assert_allclose(noise / unit, reference.input_noise_, rtol=rtol, atol=1e-12)
+    assert_allclose(model.output_noise_ / y_unit**2, reference.output_noise_, rtol=rtol)
+    if hasattr(reference, "relevant_"):
+        np.testing.assert_array_equal(model.relevant_, reference.relevant_)

@@ -1,4 +1,4 @@
-"""Noise that inputs and output have in common, against a transcription row by row."""
+"""Common noise of inputs and output, against a transcription row by row."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def problem(n=60, seed=0, size=0.6):
 
 
 def latents(X, y, psi, cross, beta, C, noise):
-    """Moments of each row's latent, from the joint noise of inputs and output."""
+    """Moments of the latent of each row, from the joint noise of inputs and output."""
     n, d = X.shape
     values, vectors = linalg.eigh(X.T @ X / n - psi)
     sigma = (vectors * np.maximum(values, 0)) @ vectors.T
@@ -32,10 +32,10 @@ def latents(X, y, psi, cross, beta, C, noise):
     joint[:d, :d], joint[:d, d], joint[d, :d] = psi, cross, cross
     joint[d, d] = noise + cross @ share
     W, M = linalg.inv(joint), np.vstack([np.eye(d), beta])
-    # The precision of the output given the inputs' noise weighs what is not known of
-    # beta.
+    # The covariance of beta is weighted by the precision of the output given the noise
+    # of the inputs.
     P = linalg.inv(linalg.inv(sigma) + M.T @ W @ M + C / noise)
-    # y less its share of the noise of the inputs, x - t, beside t.
+    # y minus its share of the noise of the inputs, x - t, and t.
     mu = [P @ M.T @ W @ np.append(*row) for row in zip(X, y)]
     return P, [(out - share @ (x - m), m) for x, out, m in zip(X, y, mu)], share
 
@@ -54,17 +54,17 @@ def literal(X, y, psi, cross, n_iter):
         right = sum(m * out + P @ share for out, m in rows)
         C = linalg.inv(S / noise + np.diag(alpha))
         beta = C @ right / noise
-        left = share - beta
-        squares = sum((out - beta @ m) ** 2 + left @ P @ left for out, m in rows)
+        gap = share - beta
+        squares = sum((out - beta @ m) ** 2 + gap @ P @ gap for out, m in rows)
         noise = (squares + np.trace(C @ S)) / n
         alpha = shape / (RATE + 0.5 * (beta**2 + np.diagonal(C)))
     return beta, noise + cross @ linalg.solve(psi, cross)
 
 
 def model(**settings):
-    """Regressor of data in their own units."""
-    known = {"latent": "correlated", "query": "noiseless", "fit_intercept": False}
-    return VBJFARegressor(**known | settings)
+    """Return a regressor for data in any units."""
+    defaults = {"latent": "correlated", "query": "noiseless", "fit_intercept": False}
+    return VBJFARegressor(**defaults | settings)
 
 
 def standard(X, y, psi, cross):
@@ -73,11 +73,11 @@ def standard(X, y, psi, cross):
     return X / x, y / s, psi / np.outer(x, x), cross / (x * s)
 
 
-def test_fit_ends_at_the_posterior_of_updates_row_by_row():
-    """The end is a fixed point of the literal updates."""
+def test_fit_is_the_fixed_point_of_literal_updates():
+    """Compare with the solution of plain updates, row by row."""
     X, y, psi, cross = standard(*problem())
-    known = {"input_noise": psi, "input_output_noise": cross}
-    found = model(**known).fit(X, y)
+    noise = {"input_noise": psi, "input_output_noise": cross}
+    found = model(**noise).fit(X, y)
     beta, output = literal(X, y, psi, cross, 1000)
     assert_allclose(found.coef_noiseless_, beta, rtol=1e-6)
     assert_allclose(found.output_noise_, output, rtol=1e-6)
@@ -85,12 +85,12 @@ def test_fit_ends_at_the_posterior_of_updates_row_by_row():
 
 
 def test_many_rows_give_the_corrected_moments():
-    """With hardly any prior beta solves (S - n Psi) beta = s - n cross."""
+    """With a weak prior, beta solves (S - n Psi) beta = s - n cross."""
     X, y, psi, cross = problem(n=20000, size=0.4)
     found = model(input_noise=psi, input_output_noise=cross).fit(X, y)
     n = len(y)
-    exact = linalg.solve(X.T @ X - n * psi, X.T @ y - n * cross)
-    assert_allclose(found.coef_noiseless_, exact, rtol=1e-3)
+    corrected = linalg.solve(X.T @ X - n * psi, X.T @ y - n * cross)
+    assert_allclose(found.coef_noiseless_, corrected, rtol=1e-3)
     assert_allclose(found.coef_noiseless_, [1.0, -2.0, 0.5], atol=0.05)
     noisy = linalg.solve(X.T @ X, X.T @ y)
     assert_allclose(found.coef_noisy_, noisy, rtol=1e-3)
@@ -98,8 +98,8 @@ def test_many_rows_give_the_corrected_moments():
     assert np.abs(plain.coef_noiseless_ - [1.0, -2.0, 0.5]).max() > 0.1
 
 
-def test_more_noise_than_the_output_has_is_named():
-    """Noise of both alone must not exceed the variance of y."""
+def test_excessive_noise_is_named():
+    """Common noise must not exceed the variance of y."""
     X, y, psi, cross = problem()
     with pytest.warns(UserWarning, match=r"of y: at most 0\.\d+ of it is possible"):
         model(input_noise=psi, input_output_noise=20 * cross).fit(X, y)
@@ -118,16 +118,16 @@ def test_units_and_the_order_of_columns_do_not_matter():
     assert_allclose(other.output_noise_, 49.0 * found.output_noise_, rtol=1e-7)
 
 
-def test_relevant_inputs_are_found_beside_noise_in_common():
-    """An input that only shares its noise with the output is left out."""
+def test_relevant_inputs_are_found_with_common_noise():
+    """An input that only shares noise with the output is excluded."""
     rng = np.random.default_rng(3)
     t = rng.normal(size=(4000, 2))
     e = 0.5 * rng.normal(size=4000)
     X = t.copy()
     X[:, 1] += e
     y = 2.0 * t[:, 0] + 0.8 * e + 0.1 * rng.normal(size=4000)
-    known = {"input_noise": [0.0, 0.25], "input_output_noise": [0.0, 0.8 * 0.25]}
-    found = model(**known).fit(X, y)
+    noise = {"input_noise": [0.0, 0.25], "input_output_noise": [0.0, 0.8 * 0.25]}
+    found = model(**noise).fit(X, y)
     assert_allclose(found.coef_, [2.0, 0.0], atol=0.02)
     without = model(input_noise=[0.0, 0.25]).fit(X, y)
     assert abs(without.coef_[1]) > 0.1
@@ -143,11 +143,11 @@ def test_relevant_inputs_are_found_beside_noise_in_common():
         ({"latent": "independent"}, 'set latent="correlated"'),
     ],
 )
-def test_what_does_not_fit_is_refused(settings, text):
-    """Covariances of another size, and with noise that is not there."""
+def test_invalid_covariances_are_refused(settings, text):
+    """Covariances of wrong size, or of inputs without noise."""
     X, y, psi, cross = problem()
-    known = {"input_noise": psi, "input_output_noise": cross} | settings
-    if known.get("latent") == "independent":
-        known["input_noise"] = np.diagonal(psi)
+    noise = {"input_noise": psi, "input_output_noise": cross} | settings
+    if noise.get("latent") == "independent":
+        noise["input_noise"] = np.diagonal(psi)
     with pytest.raises(ValueError, match=text):
-        model(**known).fit(X, y)
+        model(**noise).fit(X, y)

@@ -1,4 +1,4 @@
-"""Which inputs generate exactly dependent ones."""
+"""Inputs that generate exactly dependent inputs."""
 
 import numpy as np
 import pytest
@@ -11,47 +11,47 @@ def correlation(X):
     return np.corrcoef(X, rowvar=False)
 
 
-def made(seed, n_generators=6, n_made=12, n_free=3):
-    """Draw generators, convex combinations of them and unrelated columns, shuffled."""
+def make_inputs(seed, n_generators=6, n_combined=12, n_free=3):
+    """Return shuffled generators, convex combinations of them and other columns."""
     rng = np.random.default_rng(seed)
     t = rng.normal(size=(500, n_generators)) @ rng.normal(
         size=(n_generators, n_generators)
     )
-    weights = rng.dirichlet(np.ones(n_generators), size=n_made)
+    weights = rng.dirichlet(np.ones(n_generators), size=n_combined)
     X = np.hstack([t, t @ weights.T, rng.normal(size=(500, n_free))])
     order = rng.permutation(X.shape[1])
-    free = np.arange(n_generators + n_made, X.shape[1])
-    wanted = np.concatenate([np.arange(n_generators), free])
-    return X[:, order], np.sort(np.flatnonzero(np.isin(order, wanted)))
+    free = np.arange(n_generators + n_combined, X.shape[1])
+    expected = np.concatenate([np.arange(n_generators), free])
+    return X[:, order], np.sort(np.flatnonzero(np.isin(order, expected)))
 
 
-@pytest.mark.parametrize(("seed", "n_made"), [*((k, 12) for k in range(5)), (0, 0)])
-def test_generators_of_convex_combinations_are_found(seed, n_made):
-    X, wanted = made(seed, n_made=n_made)
+@pytest.mark.parametrize(("seed", "n_combined"), [*((k, 12) for k in range(5)), (0, 0)])
+def test_generators_of_convex_combinations_are_found(seed, n_combined):
+    X, expected = make_inputs(seed, n_combined=n_combined)
     found = find_dependencies(correlation(X))
-    assert_array_equal(found.basis, wanted)
+    assert_array_equal(found.basis, expected)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_units_do_not_matter(seed):
-    X, wanted = made(seed)
+    X, expected = make_inputs(seed)
     scale = 10.0 ** np.random.default_rng(seed).uniform(-6, 6, size=X.shape[1])
-    assert_array_equal(find_dependencies(correlation(X * scale)).basis, wanted)
+    assert_array_equal(find_dependencies(correlation(X * scale)).basis, expected)
 
 
-def test_without_a_cone_some_columns_generate_the_others():
+def test_combinations_with_both_signs_have_a_basis():
     rng = np.random.default_rng(1)
     t = rng.normal(size=(400, 3))
-    # Signs of both kinds: more extreme rays than dimensions.
+    # Both signs: more extreme rays than dimensions.
     X = np.hstack([t, t @ rng.normal(size=(3, 6))])
     X -= X.mean(axis=0)
     found = find_dependencies(correlation(X))
     assert found.basis.size == 3
-    left = X - X[:, found.basis] @ np.linalg.lstsq(X[:, found.basis], X)[0]
-    assert np.abs(left).max() < 1e-9
+    residual = X - X[:, found.basis] @ np.linalg.lstsq(X[:, found.basis], X)[0]
+    assert np.abs(residual).max() < 1e-9
 
 
-def test_copies_belong_together():
+def test_copies_are_grouped():
     rng = np.random.default_rng(2)
     t = rng.normal(size=(300, 3))
     X = np.column_stack([t[:, 0], t[:, 1], -2 * t[:, 0], t[:, 2], 5 * t[:, 0]])

@@ -1,4 +1,4 @@
-"""Two-stage least squares against literal formulas and simulated truth."""
+"""Two-stage least squares against literal formulas."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def literal_two_stages(X, y, Z):
 
 @pytest.mark.parametrize("n_instruments", [3, 7])
 @pytest.mark.parametrize("seed", range(2))
-def test_two_literal_stages(seed, n_instruments):
+def test_equals_two_literal_stages(seed, n_instruments):
     X, y, Z, _ = make_repeated(seed, n_instruments=n_instruments)
     model = InstrumentalVariables().fit(X, y, instruments=Z)
     coef, intercept, std = literal_two_stages(X, y, Z)
@@ -48,7 +48,7 @@ def test_two_literal_stages(seed, n_instruments):
     assert model.rank_ == 3
 
 
-def test_without_instruments_least_squares():
+def test_without_instruments_it_is_least_squares():
     X, y, _, _ = make_repeated(0)
     model = InstrumentalVariables().fit(X, y)
     expected = LinearRegression().fit(X, y)
@@ -66,7 +66,7 @@ def test_duplicate_and_constant_features(factor):
     wide = np.column_stack([X, factor * X[:, 0], np.full(len(y), 0.1)])
     model = InstrumentalVariables().fit(wide, y, instruments=Z)
     assert model.rank_ == 3
-    # Copies contribute alike, whatever their units; a constant does not.
+    # Copies contribute equally in any units; a constant does not.
     half = reference.coef_[0] / 2
     expected = [half, *reference.coef_[1:], half / factor, 0.0]
     assert_allclose(model.coef_, expected, rtol=1e-8)

@@ -32,31 +32,31 @@ def test_a_weight_is_a_repeated_row():
     np.testing.assert_allclose(weighted.predict(X_test), expected, atol=1e-6)
 
 
-def test_beats_a_global_fit_on_a_curve():
+def test_error_is_below_that_of_a_global_fit():
     X, y, X_test, y_test = make_curve(0)
     local = LocallyWeightedRegressor(n_models=25).fit(X, y)
-    whole = VBJFARegressor().fit(X, y)
+    single = VBJFARegressor().fit(X, y)
 
     def error(model):
         return np.mean((model.predict(X_test) - y_test) ** 2) / y_test.var()
 
-    # The curve is far from linear: the global fit leaves most of it.
-    assert error(whole) > 0.4
-    assert error(local) < 0.25 * error(whole)
+    # The curve is nonlinear: the global fit explains less than 60 % of it.
+    assert error(single) > 0.4
+    assert error(local) < 0.25 * error(single)
 
 
 def test_one_model_is_the_global_regressor():
     X, y, X_test, _ = make_curve(1, n=300)
     local = LocallyWeightedRegressor(LinearRegression(), n_models=1)
-    whole = LinearRegression().fit(X, y)
-    # Weights of 1 - 1e-12 at the most: the width is a million deviations.
+    single = LinearRegression().fit(X, y)
+    # Weights are at least 1 - 1e-12: the width is a million standard deviations.
     np.testing.assert_allclose(
-        local.fit(X, y).predict(X_test), whole.predict(X_test), rtol=1e-6
+        local.fit(X, y).predict(X_test), single.predict(X_test), rtol=1e-6
     )
 
 
-def clusters(seed):
-    """Draw inputs in four well separated heaps: k-means has one solution."""
+def make_clusters(seed):
+    """Return inputs in four separate clusters, for which k-means has one solution."""
     rng = np.random.default_rng(seed)
     centre = np.array([[0, 0], [10, 0], [0, 10], [10, 10]])[rng.integers(4, size=400)]
     X = centre + rng.normal(size=(400, 2))
@@ -65,9 +65,9 @@ def clusters(seed):
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_units_do_not_matter(scale):
-    X, y = clusters(3)
+    X, y = make_clusters(3)
     unit = np.array([scale, 1.0])
-    # Least squares of scikit-learn would drop a column a million times smaller.
+    # Least squares of scikit-learn would drop a column that is a million times smaller.
     model = LocallyWeightedRegressor(VBJFARegressor(input_noise=0.0), n_models=4)
     plain = model.fit(X, y).predict(X)
     scaled = model.fit(X * unit, y).predict(X * unit)

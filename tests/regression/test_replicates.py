@@ -1,4 +1,4 @@
-"""Input noise from repeated measurements: its estimate, its use, bad input."""
+"""Input noise from repeated measurements: estimate, use and invalid input."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from sklearn_vbjfa import VBJFARegressor, replicate_noise
 COEF = np.array([1.0, -2.0, 0.5])
 
 
-def make_units(seed, n_units, noise=0.5):
+def make_replicates(seed, n_units, noise=0.5):
     """Measurements (2, n_units, 3), outputs, labels, and the true covariance.
 
     Noise is correlated between the columns, and so are the units.
@@ -36,7 +36,7 @@ def literal(X, groups):
 
 
 @pytest.mark.parametrize("labels", [int, str])
-def test_equals_the_literal_estimate_with_unequal_groups(labels):
+def test_noise_equals_the_literal_estimate_with_unequal_groups(labels):
     rng = np.random.default_rng(0)
     groups = rng.integers(0, 12, 40)
     X = rng.normal(size=(40, 3)) + 1e3 * rng.normal(size=12)[groups][:, None]
@@ -46,8 +46,8 @@ def test_equals_the_literal_estimate_with_unequal_groups(labels):
     assert noise.dof == dof
 
 
-def test_corrects_what_least_squares_gets_wrong():
-    X, y, labels, _ = make_units(4, 2000)
+def test_bias_of_least_squares_is_corrected():
+    X, y, labels, _ = make_replicates(4, 2000)
     noise = replicate_noise(X.reshape(-1, 3), labels)
     model = VBJFARegressor(input_noise=noise, query="noiseless").fit(X[0], y)
     plain = LinearRegression().fit(X[0], y)
@@ -57,18 +57,18 @@ def test_corrects_what_least_squares_gets_wrong():
 
 
 def test_intervals_cover_with_estimated_noise():
-    # 60 degrees of freedom. 100 data sets of three coefficients, a nominal 90 %; three
-    # binomial deviations of the (dependent) three hundred.
+    # 60 degrees of freedom; 100 data sets of three coefficients; nominal coverage 90 %,
+    # with three binomial standard deviations of the (dependent) 300 values.
     inside = []
     for seed in range(100):
-        X, y, labels, _ = make_units(seed, 60)
+        X, y, labels, _ = make_replicates(seed, 60)
         noise = replicate_noise(X.reshape(-1, 3), labels)
         model = VBJFARegressor(input_noise=noise, query="noiseless").fit(X[0], y)
         inside.append(np.abs(model.coef_ - COEF) < 1.645 * model.coef_std_)
     assert 0.83 < np.mean(inside) < 0.97
 
 
-def test_wrong_input_is_refused():
+def test_invalid_input_is_refused():
     with pytest.raises(ValueError, match=r"some unit more than once.*got 4 units"):
         replicate_noise(np.eye(4), [1, 2, 3, 4])
     with pytest.raises(ValueError, match="inconsistent numbers of samples"):

@@ -1,4 +1,4 @@
-"""Stepwise regression against refits, the textbook's trace, and its invariances."""
+"""Stepwise regression against refits and a textbook example."""
 
 import numpy as np
 import pytest
@@ -22,16 +22,16 @@ def residual_sum(X, y, weight, chosen, fit_intercept):
 
 
 def literal_stepwise(X, y, *, p_enter, p_remove, weight=None, fit_intercept=True):
-    """Draper & Smith's procedure, refitting each candidate model."""
+    """Stepwise regression of Draper & Smith, refitting each candidate model."""
     weight = np.ones(len(y)) if weight is None else weight
     chosen, path = [], []
 
     def test(larger, feature):
         smaller = [j for j in larger if j != feature]
         rss = residual_sum(X, y, weight, larger, fit_intercept)
-        rise = residual_sum(X, y, weight, smaller, fit_intercept) - rss
+        increase = residual_sum(X, y, weight, smaller, fit_intercept) - rss
         nu = weight.sum() - len(larger) - fit_intercept
-        F = rise / (rss / nu)
+        F = increase / (rss / nu)
         return F, stats.f.sf(F, 1, nu)
 
     while True:

@@ -1,4 +1,4 @@
-"""Total least squares against closed forms, its objective and another solver."""
+"""Total least squares against closed forms and its objective."""
 
 import numpy as np
 import pytest
@@ -21,13 +21,13 @@ def make_noisy(seed, n_samples=80, n_features=3, input_std=0.3, output_std=0.3):
 
 
 def objective(coef, intercept, X, y, weight, input_noise, output_noise):
-    """Weighted squared distances to the hyperplane, in the metric of the noise."""
+    """Weighted sum of squared distances to the hyperplane, in the noise metric."""
     variance = output_noise + coef @ input_noise @ coef
     return np.sum(weight * (y - X @ coef - intercept) ** 2) / variance
 
 
 def test_one_feature_formula():
-    # Deming's closed form for one feature and a known ratio of variances.
+    # Closed form of Deming for one feature and a known ratio of variances.
     X, y, _ = make_noisy(1, n_features=1)
     ratio = 2.5
     C = np.cov(X[:, 0], y)
@@ -77,8 +77,8 @@ def test_exact_inputs_are_least_squares():
 
 
 def test_nongeneric_problem():
-    # y is orthogonal to the direction of the second feature, and farther from the
-    # first than the second feature is long: no finite solution uses the second.
+    # y is orthogonal to the second feature, and its distance to the first exceeds the
+    # norm of the second: no finite solution uses the second.
     X = np.array([[1.0, 0.0], [0.0, 0.1], [0.0, 0.0]])
     y = np.array([1.0, 0.0, 1.0])
     model = TotalLeastSquares(fit_intercept=False).fit(X, y)

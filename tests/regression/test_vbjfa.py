@@ -1,4 +1,4 @@
-"""VB-JFA regression: its three models, their limits, invariances and messages."""
+"""VB-JFA regression: models, limits, invariances and messages."""
 
 import numpy as np
 import pytest
@@ -31,9 +31,9 @@ def make_model(kind, **params):
     return VBJFARegressor(**{"query": "noiseless", "tol": 1e-8, **options, **params})
 
 
-# So many iterations and no more: two ways to the same numbers then differ by rounding
-# alone, and not by where along a flat direction they stopped.
-ALIKE = {"max_iter": 25, "tol": 0.0}
+# With a fixed number of iterations, equivalent fits differ only by rounding, not by the
+# point at which they stop in a flat direction.
+FIXED = {"max_iter": 25, "tol": 0.0}
 unconverged = pytest.mark.filterwarnings(
     "ignore::sklearn.exceptions.ConvergenceWarning"
 )
@@ -45,8 +45,8 @@ MODELS = ["paper", "noise", "correlated", "auto", "default"]
 def test_noisy_coefficients_tend_to_least_squares(kind, rtol):
     X, y, _ = make_regression(1, 20_000)
     model = make_model(kind, tol=1e-7).fit(X, y)
-    # ARD takes a share of 1 / n of each coefficient, and the stop leaves 1e-4. The
-    # prior on the noise has the weight of a tenth of the samples, however many.
+    # ARD shrinks each coefficient by 1 / n, and stopping leaves an error of 1e-4. The
+    # prior on the noise always has the weight of a tenth of the samples.
     assert_allclose(model.coef_noisy_, least_squares(X, y), rtol=rtol)
 
 
@@ -54,8 +54,8 @@ def test_noisy_coefficients_tend_to_least_squares(kind, rtol):
 def test_known_noise_recovers_the_coefficients(kind):
     X, y, coef = make_regression(2, 20_000, noise=0.5)
     model = make_model(kind, input_noise=np.full(4, 0.25)).fit(X, y)
-    # Noise of y given x has a variance of 0.2 |coef|^2 + 0.09, less than 1.5: a
-    # deviation of sqrt(1.5 / 20000) * 1.25 = 0.011, of which four.
+    # Noise of y given x has a variance of 0.2 |coef|^2 + 0.09, less than 1.5: four
+    # standard deviations of sqrt(1.5 / 20000) * 1.25 = 0.011.
     assert_allclose(model.coef_, coef, atol=0.045)
     assert_allclose(model.coef_noisy_, coef / 1.25, atol=0.04)
     assert_allclose(np.diagonal(np.atleast_2d(model.input_noise_)).max(), 0.25)
@@ -73,13 +73,13 @@ def test_known_noise_covariance_of_correlated_inputs():
     model = make_model("correlated", input_noise=psi * np.outer(unit, unit))
     model.fit(X * unit + 5, y)
     corrected = np.linalg.solve(np.cov(X.T, ddof=0) - psi, np.cov(X.T, y)[:3, 3])
-    # What the stopping rule leaves is a small part of the deviation.
+    # The error due to the stopping rule is small.
     assert_allclose(model.coef_ * unit, corrected, rtol=0.01)
-    # Within four of its own deviations of the truth, which least squares is not.
-    deviation = np.abs(model.coef_ * unit - coef) / (model.coef_std_ * unit)
-    assert deviation.max() < 4
-    off = np.abs(least_squares(X, y) - coef) / (model.coef_std_ * unit)
-    assert off.max() > 10
+    # Within four standard deviations of the truth; least squares is not.
+    relative = np.abs(model.coef_ * unit - coef) / (model.coef_std_ * unit)
+    assert relative.max() < 4
+    error = np.abs(least_squares(X, y) - coef) / (model.coef_std_ * unit)
+    assert error.max() > 10
 
 
 def test_zero_noise_is_ard_regression():
@@ -99,7 +99,7 @@ def test_zero_noise_is_ard_regression():
         square = mean**2 + np.diagonal(cov)
         alpha = (1e-6 + 0.5) / (1e-6 + 0.5 * square)
         s2 = (np.sum((b - A @ mean) ** 2) + np.trace(A.T @ A @ cov)) / 100
-    # In units of the largest: what ARD switches off creeps to zero.
+    # Relative to the largest: coefficients pruned by ARD converge slowly to zero.
     scale = np.abs(mean).max()
     assert_allclose(model.coef_ * x_unit / y_unit, mean, atol=1e-6 * scale)
     kept = np.arange(5) > 0
@@ -107,7 +107,7 @@ def test_zero_noise_is_ard_regression():
     assert_allclose((model.alpha_ * y_unit**2)[kept], alpha[kept], rtol=1e-6)
     assert_array_equal(model.relevant_, kept)
     assert_array_equal(model.input_noise_, np.zeros((5, 5)))
-    # The deviations: literal Bayesian ridge regression, its second moment about that.
+    # Standard deviations: literal Bayesian ridge regression, second moment about mean.
     ridge, cov, _ = bayesian_ridge(A, b)
     std = np.sqrt(np.diagonal(cov) + (ridge - mean) ** 2)
     assert_allclose(model.coef_std_ * x_unit / y_unit, std, rtol=1e-5)
@@ -128,9 +128,9 @@ def test_units_signs_and_order(kind, seed, x_power, y_power, order, flips):
     order, x_unit = np.array(order), np.array(flips)
     x_unit[seed % 4] *= 10.0**x_power
     y_unit = -(10.0**y_power)
-    plain = make_model(kind, **ALIKE).fit(X, y)
+    plain = make_model(kind, **FIXED).fit(X, y)
     rows = np.random.default_rng(seed).permutation(80)
-    model = make_model(kind, **ALIKE).fit(
+    model = make_model(kind, **FIXED).fit(
         (X * x_unit)[rows][:, order], y[rows] * y_unit
     )
     for name in ("coef_", "coef_noisy_", "coef_std_", "relevant_"):
@@ -143,15 +143,15 @@ def test_units_signs_and_order(kind, seed, x_power, y_power, order, flips):
 
 @unconverged
 @pytest.mark.parametrize("kind", MODELS)
-def test_chunks_weights_and_rows_twice(kind):
+def test_chunks_and_weights_are_repeated_rows(kind):
     X, y, _ = make_regression(9, 90)
     count = np.random.default_rng(9).integers(0, 3, 90)
     rows = np.repeat(np.arange(90), count)
-    repeated = make_model(kind, **ALIKE).fit(X[rows], y[rows])
+    repeated = make_model(kind, **FIXED).fit(X[rows], y[rows])
     weight = count.astype(float)
-    weighted = make_model(kind, **ALIKE).fit(X, y, sample_weight=weight)
+    weighted = make_model(kind, **FIXED).fit(X, y, sample_weight=weight)
     assert_same_fit(weighted, repeated, rtol=1e-5)
-    chunked = make_model(kind, **ALIKE)
+    chunked = make_model(kind, **FIXED)
     for part in reversed(np.array_split(np.arange(90), 4)):
         chunked.partial_fit(X[part], y[part], sample_weight=weight[part])
     assert_same_fit(chunked, repeated, rtol=1e-5)
@@ -161,8 +161,8 @@ def test_chunks_weights_and_rows_twice(kind):
 @pytest.mark.parametrize("kind", MODELS)
 def test_constant_column(kind):
     X, y, _ = make_regression(11)
-    without = make_model(kind, **ALIKE).fit(X, y)
-    model = make_model(kind, **ALIKE).fit(np.insert(X, 1, 0.1, axis=1), y)
+    without = make_model(kind, **FIXED).fit(X, y)
+    model = make_model(kind, **FIXED).fit(np.insert(X, 1, 0.1, axis=1), y)
     kept = [0, 2, 3, 4]
     assert model.coef_[1] == model.coef_noisy_[1] == 0.0
     assert np.isinf(model.coef_std_[1])
@@ -175,13 +175,13 @@ def test_constant_column(kind):
     assert np.isfinite(std).all()
 
 
-def test_noise_that_leaves_no_signal_is_named():
+def test_noise_of_the_whole_variance_is_named():
     X, y, _ = make_regression(15)
     noise = np.array([0.1, 5.0, 0.1, 0.1])
     for kind in ("noise", "correlated"):
         with pytest.warns(UserWarning, match=r"whole variance of 1 input\(s\) \(1\)"):
             model = make_model(kind, input_noise=noise).fit(X, y)
-        # Nothing of the signal is in that column.
+        # That column contains no signal.
         assert abs(model.coef_[1]) < 0.05 * np.abs(model.coef_).max()
         assert model.coef_[1] == 0.0 or kind == "correlated"
         assert np.isfinite(model.coef_).all()
@@ -195,7 +195,7 @@ def test_too_few_iterations_are_reported(kind):
     assert not model.converged_
 
 
-# -- noise that cannot be, or is doubtful ----------------------------------------------
+# -- invalid or implausible noise ------------------------------------------------------
 
 OFF_DIAGONAL = np.eye(4, k=1) + np.eye(4, k=-1)
 
@@ -215,7 +215,7 @@ OFF_DIAGONAL = np.eye(4, k=1) + np.eye(4, k=-1)
         (np.diag([1.0, 0.0, 1.0, 1.0]) + OFF_DIAGONAL, r"must be positive semidef"),
     ],
 )
-def test_noise_that_cannot_be(noise, message):
+def test_invalid_noise_is_refused(noise, message):
     X, y, _ = make_regression(30)
     with pytest.raises(ValueError, match=message):
         VBJFARegressor(query="noiseless", input_noise=noise).fit(X, y)
@@ -223,7 +223,7 @@ def test_noise_that_cannot_be(noise, message):
 
 @pytest.mark.filterwarnings("error")
 def test_semidefinite_covariance_is_allowed():
-    # One source of noise in all inputs: rank one, three eigenvalues zero to rounding.
+    # A single source of noise in all inputs: rank one, three eigenvalues are zero.
     X, y, _ = make_regression(33)
     direction = np.array([0.1, -0.2, 0.3, 0.05])
     psi = np.outer(direction, direction)

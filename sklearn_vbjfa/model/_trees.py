@@ -301,7 +301,8 @@ def check_joints(model):
         raise ValueError(
             "Every joint must have one degree of freedom (nq == nv); got "
             + ", ".join(wrong)
-            + ". A free joint is held only if there is no other one and it carries all "
+            + ". Of continuous joints (RUB), give the URDF file in place of the model. "
+            "A free joint is held only if there is no other one and it carries all "
             "other joints. Split spherical joints into three revolute ones, and lock "
             "what does not move with pinocchio.buildReducedModel (command line: "
             "--joints)."

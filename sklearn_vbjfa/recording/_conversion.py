@@ -180,7 +180,10 @@ def _sort_roles(table, layout, options, robot, notes):
     fixed = [x for x in names if recorded and x not in recorded]
     if fixed and not robot.explicit:
         where = "held at zero; if they stand elsewhere, lock them there in the model"
-        notes.append(Loss(f"no columns of joint(s) {listed(fixed)}: {where}."))
+        texts = {x: x.lower() for x in table.frame if not any(j in x for j in fixed)}
+        other = [x for x in texts if any(j.lower() in texts[x] for j in fixed)]
+        hint = f" (upper and lower case differ in {listed(other)})" if other else ""
+        notes.append(Loss(f"no columns of joint(s) {listed(fixed)}{hint}: {where}."))
         names = tuple(x for x in names if x in recorded)
     ordered, count = {}, max(map(len, by_key.values()))
     for kind in filter(by_key.get, options.kinds):
@@ -252,7 +255,11 @@ def read_rows(table, options) -> FileRows:
         )
         channels = {kind: values[:, order] for kind, values in channels.items()}
     t, time = read_time(table, layout, options, channels["q"])
-    labels = _labels(table, layout)
+    columns, labels = [role.column for role in layout.select("segment")], None
+    for column in columns:
+        refuse_ambiguous(table, columns[0], column)
+        labels = table.values(column)
+        labels = table.numbers(column) if labels.dtype.kind == "f" else labels
     signals = _signals(table, layout, time, notes)
     motor_units = [unit for unit in torque_units if unit not in ("N m", "N")]
     if motor_units and options.gains is None and options.drive is None:
@@ -393,16 +400,6 @@ def _check_units(table, roles, units, names, robot):
 
 
 # -- other columns ---------------------------------------------------------------------
-
-
-def _labels(table, layout):
-    columns = [role.column for role in layout.select("segment")]
-    if not columns:
-        return None
-    for other in columns[1:]:
-        refuse_ambiguous(table, columns[0], other)
-    labels = table.values(columns[0])
-    return table.numbers(columns[0]) if labels.dtype.kind == "f" else labels
 
 
 def _signals(table, layout, time, notes):

@@ -145,8 +145,7 @@ def check_size(path, size):
 
 def no_rows(path):
     """Return the error for a file without data."""
-    reason = "is empty, no rows of data; expected one per sample"
-    return RecordingRefused(f"{path}: {reason}")
+    return NotATable(f"{path}: is empty, no rows of data; expected one per sample")
 
 
 def check_names(path, names, what):

@@ -186,6 +186,7 @@ def test_non_tables_in_a_folder_are_skipped_with_a_note(split, arm):
     (split / "config.json").write_text('{"kp": [20, 40], "robot": "arm"}')
     (split / "video.mp4").write_bytes(b"\0\1\2")
     (split / "arm.md").write_text("gain: 3")
+    (split / "empty.csv").write_text("")
     recording, notes = read(split, arm)
     assert_same(recording, arm)
     (note,) = (x for x in notes if "no tables of numbers in" in x)

@@ -82,6 +82,9 @@ def test_unrecorded_joints_are_held_at_zero(arm, tmp_path):
     text = " ".join(notes)
     assert "joint(s) sensor are not joints of the robot and are left out" in text
     assert "no columns of joint(s) joint_5: held at zero" in text
+    path.write_text(path.read_text().replace("sensor/", "Joint_5/"))
+    text = " ".join(read(path, urdf=arm.urdf)[1])
+    assert "joint_5 (upper and lower case differ in " in text
     assert recording.robot_model().nv == 5
     with pytest.raises(ValueError, match="column 'q_joint_5' is missing"):
         read(path, urdf=arm.urdf, joint_names=["joint_4", "joint_5"])

@@ -333,7 +333,7 @@ def test_single_missing_samples_are_interpolated_and_gaps_split(csv):
 
 
 @pytest.mark.parametrize(
-    "nothing", ["", "nan", "NaN", "NA", "N/A", "null", "None", "-"]
+    "nothing", ["", "nan", "NaN", "NA", "N/A", "null", "None", "-", "#REF!"]
 )
 @pytest.mark.parametrize("stamped", [True, False])
 def test_rows_with_missing_numbers_are_skipped(csv, nothing, stamped):

@@ -38,6 +38,8 @@ _NUMBER = re.compile(
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}((\.\d{3})+,\d+|(,\d{3})+(\.\d*)?)", re.ASCII)
 # Minimum number of rows for which an invalid last line is taken as truncated.
 _MIN_ROWS = 10
+# Errors of spreadsheets in cells, which are not comments.
+_SHEET_ERROR = re.compile(rb"#(REF!|N/A|NUM!|VALUE!|DIV/0!|NAME\?|NULL!)")
 _BRACKETS_TO_BLANKS = bytes.maketrans(b"()[]", b"    ")
 # A line that declares the separator to Excel.
 _EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
@@ -79,7 +81,7 @@ def _decode(path, content):
     if b"\0" in content:
         raise RecordingRefused(f"{path}: is binary, not text; save it as CSV in UTF-8.")
     content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return content.removeprefix(b"\xef\xbb\xbf"), notes
+    return _SHEET_ERROR.sub(b"nan", content).removeprefix(b"\xef\xbb\xbf"), notes
 
 
 def _first_lines(content):

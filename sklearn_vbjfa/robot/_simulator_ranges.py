@@ -107,18 +107,16 @@ def ranges_of(robot, level):
             f"values on each side; got {level!r}."
         )
     posterior, between = Posterior.of(robot), robot.recording_variance
+    settings, count = (robot, posterior, float(level)), robot.theta_.size
     return Ranges(
         level=float(level),
         recordings=1 if between is None else between.count,
-        parameters=tuple(
-            _range_of(robot, posterior, k, float(level))
-            for k in range(robot.theta_.size)
-        ),
+        parameters=tuple(_range_of(*settings, k) for k in range(count)),
         note=note_of_units(robot.gains_),
     )
 
 
-def _range_of(robot, posterior, k, level):
+def _range_of(robot, posterior, level, k):
     marginal, ends = posterior.marginal(k), (np.nan, np.nan)
     if marginal is not None:
         ends = marginal.quantiles([0.5 - level / 2, 0.5 + level / 2])

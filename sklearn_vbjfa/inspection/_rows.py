@@ -581,11 +581,12 @@ def _rate_factor(x, step, parts):
     """Return the factor of changes of x (n,) over sums of steps."""
     # Sums over times in which x changes by its standard deviation suppress noise.
     longest = max(part.stop - part.start for part in parts)
-    width = int(x.std() / max(np.abs(step).mean(), x.std() / len(x)))
-    width = max(min(width, longest // 8), 1)
     pairs = [(x[p], np.cumsum(step[p]) - step[p] / 2) for p in parts]
-    pairs = [[y[width:] - y[:-width] for y in pair] for pair in pairs]
-    change, total = np.hstack([pair for pair in pairs if len(pair[0])])
+    for width in 2 ** np.arange(max(longest // 8, 1).bit_length()):
+        changes = [[y[width:] - y[:-width] for y in pair] for pair in pairs]
+        change, total = np.hstack([pair for pair in changes if len(pair[0])])
+        if (change**2).mean() > x.var():
+            break
     return change @ total / max(total @ total, 1e-300)
 
 

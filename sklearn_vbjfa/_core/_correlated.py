@@ -468,7 +468,7 @@ def solve_correlated(
     solution = up(problem.start(), max_iter)
     if not (problem.exact and moments.n > problem.d):
         return solution
-    used = solution.n_iter + 1
+    used = min(solution.n_iter + 1, max_iter)
     other = problem.start_from_least_squares()
     if other.value > solution.history[-1] and used < max_iter:
         solution = up(other, max_iter - used)

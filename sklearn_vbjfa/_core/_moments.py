@@ -72,6 +72,8 @@ def _counted_from(moments, origin):
 def triangular(rows):
     """Triangular factor (min(n, k), k) of rows (n, k), which are overwritten."""
     k = rows.shape[1]
+    if not rows.size:
+        return rows
     # With space for blocks of columns, many columns take half the time.
     return np.triu(lapack.dgeqrf(rows, lwork=64 * k, overwrite_a=True)[0][:k])
 

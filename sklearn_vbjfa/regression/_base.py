@@ -1,8 +1,10 @@
 """Validation of data and input noise for all regressors, and linear prediction."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils import check_array
 from sklearn.utils._param_validation import Interval, StrOptions
@@ -41,7 +43,7 @@ class BaseRegressor(RegressorMixin, BaseEstimator):
         y : array-like of shape (n_samples,)
             Output.
         sample_weight : array-like of shape (n_samples,), default=None
-            Weights; a weight of 2 is the row twice.
+            Numbers of repetitions, not normalised: a weight of 2 is the row twice.
 
         Returns
         -------
@@ -70,7 +72,15 @@ class BaseRegressor(RegressorMixin, BaseEstimator):
         check_sizes(y[:, None], ["y"])
         if sample_weight is None:
             return X, y, None
-        return X, y, check_sample_weight(sample_weight, X)
+        weight = check_sample_weight(sample_weight, X)
+        few = min(np.count_nonzero(weight), weight.sum()) < 1 + 1e-9
+        if few and min_samples is None and self._min_samples > 1:
+            raise ValueError(
+                "sample_weight must be positive for 2 samples and sum up to more than "
+                f"1, got {np.count_nonzero(weight)} and {weight.sum():.3g}. It counts "
+                "repetitions: scale it to sum up to the number of samples."
+            )
+        return X, y, weight
 
     def _check_queries(self, X):
         """Validate the inputs (n_samples, n_features) of a prediction."""
@@ -229,34 +239,47 @@ def resolve_cross_noise(cross, noise, data):
 
 def noise_shares(noise, data, names):
     """Shares (n_active,) of the inputs' variances that are noise, None if unknown."""
-    # A share of 1 marks an input without signal, for which there is a warning.
     if noise is None:
         return None
-    n_active = data.x_scale.shape[0]
-    if np.ndim(noise) == 0:
-        return np.full(n_active, noise)
-    if np.ndim(noise) == 2:
-        if np.any(noise - np.diag(np.diagonal(noise))):
-            raise ValueError(
-                "input_noise with covariances between inputs needs "
-                'VBJFARegressor(latent="correlated"); independent latents take the '
-                "variances alone: np.diagonal of it, shape (n_features,)."
-            )
-        noise = np.diagonal(noise)
-    share = noise[data.active] / data.x_scale**2
-    warn_of_excess(data, share >= 1.0, names)
-    return np.minimum(share, 1.0)
-
-
-def warn_of_excess(data, excess, names):
-    """Warn of the active inputs (n_active,), bool, that are nothing but noise."""
-    full = np.flatnonzero(data.active)[excess]
-    if full.size:
-        shown = ", ".join(str(names[i]) for i in full[:10])
-        warnings.warn(
-            f"input_noise is at least the whole variance of {full.size} input(s) "
-            f"({shown}): no signal is left in them. Check the units of input_noise "
-            "(variances, not standard deviations).",
-            UserWarning,
-            stacklevel=9,
+    if np.ndim(noise) == 2 and np.any(noise - np.diag(np.diagonal(noise))):
+        raise ValueError(
+            "input_noise with covariances between inputs needs "
+            'VBJFARegressor(latent="correlated"); independent latents take the '
+            "variances alone: np.diagonal of it, shape (n_features,)."
         )
+    psi = standard_noise(noise, data)
+    warn_of_excess(data, psi, names)
+    return np.minimum(np.diagonal(psi), 1.0)
+
+
+def warn_of_excess(data, psi, names, *, cross=None, dof=np.inf):
+    """Warn of a noise covariance (d, d) that exceeds the covariance of the data."""
+    m, labels = data.moments, np.flatnonzero(data.active)
+    if data.is_degenerate:
+        return
+    if (full := np.diagonal(psi) / (m.xx / m.n) > 1 - 1e-9).any():
+        shown = ", ".join(str(names[i]) for i in labels[full][:10])
+        text = (
+            f"at least the whole variance of {full.sum()} input(s) ({shown}): no signal"
+        )
+    else:
+        # The covariance of the inputs given y, without the noise that it shares with
+        # them, contains their noise, to three deviations of sampled eigenvalues.
+        extra, given = np.sqrt(m.xx.size) + 3.0, m
+        if cross is not None:
+            given = replace(m, z=m.z - m.R @ direct_share(psi, cross))
+        inside = (m.S - np.outer(given.xy, given.xy) / (given.yy or 1.0)) / m.n
+        least = max(1.0 - extra / np.sqrt(m.n), 0.0) / (1.0 + extra / np.sqrt(dof))
+        values, vectors = linalg.eigh(inside - least**2 * psi)
+        if values[0] >= -1e-12:
+            return
+        v = vectors[:, 0]
+        times = v @ psi @ v / max(v @ inside @ v, 1e-12)
+        most = ", ".join(str(names[i]) for i in labels[np.argsort(-np.abs(v))[:2]])
+        text = f"{times:.2g} times the variance, given y, along inputs {most}"
+    warnings.warn(
+        f"input_noise is {text}. Check its units (variances, not standard deviations) "
+        "and whether y shares noise with the inputs (input_output_noise).",
+        UserWarning,
+        stacklevel=9,
+    )

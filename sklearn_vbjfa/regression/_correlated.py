@@ -70,8 +70,7 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
 
     psi = standard_noise(noise, data)
     if psi is not None:
-        excess = np.diagonal(psi) / np.diagonal(m.S / m.n) > 1 + 1e-9
-        warn_of_excess(data, excess, labels)
+        warn_of_excess(data, psi, labels, cross=cross, dof=dof)
     if m.n <= SAMPLES_PER_INPUT * d:
         return _fit_few(m, psi, solve, cross, dof)
     # Zero noise is Bayesian ARD regression; a full covariance uses all inputs.

@@ -54,15 +54,11 @@ class InstrumentalVariables(LinearRegressor):
     which is :math:`(Z^T X)^{-1} Z^T y` for as many instruments as features.
     :math:`\hat\sigma^2` is the residual sum of squares :math:`\|y - X
     \hat\beta\|^2`, of X and not of PX, over the sum of the weights minus the
-    number of coefficients. Sample weights count repetitions: weight 2 is a row
-    given twice.
+    number of coefficients.
 
     Whether instruments are uncorrelated with :math:`\epsilon` cannot be seen from
     the data if there are no more of them than features. Weak ones bias the estimate
     towards least squares.
-
-    Singular values of columns of equal lengths below ``10 * m * eps`` of the largest, m
-    the larger side of the reduced matrix, are zero; the solution then has minimum norm.
 
     References
     ----------
@@ -103,8 +99,7 @@ class InstrumentalVariables(LinearRegressor):
         y : array-like of shape (n_samples,)
             Output.
         instruments : array-like of shape (n_samples, n_instruments), default=None
-            At least as many columns as X. ``None`` takes X itself, which is least
-            squares.
+            At least as many columns as X; None is X itself, least squares.
         sample_weight : array-like of shape (n_samples,), default=None
             Numbers of repetitions of the rows, not necessarily whole.
 
@@ -112,12 +107,6 @@ class InstrumentalVariables(LinearRegressor):
         -------
         self : InstrumentalVariables
             Fitted estimator.
-
-        Raises
-        ------
-        ValueError
-            If there are fewer instruments than features, or their rows are not those
-            of X.
         """
         X, y, weight = self._check_rows(X, y, sample_weight, min_samples=1)
         n_features = X.shape[1]

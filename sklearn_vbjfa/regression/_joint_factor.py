@@ -249,8 +249,7 @@ class JFARegressor(BaseJointFactorRegressor):
     fit_intercept : bool, default=True
         Whether the means of X and y are free.
     query : {"noisy", "noiseless"}, default="noisy"
-        Which queries `predict` answers: inputs as noisy as those of the fit, or
-        noiseless ones (planned motions).
+        Inputs of `predict`: as noisy as those of the fit, or noiseless.
     max_iter : int, default=20000
         Largest number of iterations.
     tol : float, default=1e-7
@@ -277,8 +276,7 @@ class JFARegressor(BaseJointFactorRegressor):
     output_noise_ : float
         Variance of y given noiseless inputs, psi_y + sum(psi_z), unit of y squared.
     elbo_history_ : ndarray
-        Log-likelihood of X and y at each iteration that was kept, at most `n_iter_`
-        values, with all constants.
+        Log-likelihood of X and y at each accepted iteration, with all constants.
     n_iter_ : int
         Number of iterations.
     converged_ : bool

@@ -33,17 +33,14 @@ class LocallyWeightedRegressor(BaseRegressor):
         Linear regressor whose `fit` takes `sample_weight`; None is
         ``VBJFARegressor()``.
     n_models : int, default=10
-        Number of local models; their centres are found by k-means, which starts from
-        points far from each other: nothing is drawn at random, and neither the order
-        of the rows nor their repetition matters.
+        Number of local models, whose centres k-means finds without random numbers.
 
     Attributes
     ----------
     centers_ : ndarray of shape (n_models, n_features)
         Centres, in the units of X.
     bandwidth_ : ndarray of shape (n_models,)
-        Widths h, in standard deviations of the inputs: distances to the nearest other
-        centres.
+        Distances h to the nearest other centre, in standard deviations of the inputs.
     scale_ : ndarray of shape (n_features,)
         Standard deviations of the inputs; 1 for a constant one.
     estimators_ : list of estimator
@@ -115,8 +112,8 @@ class LocallyWeightedRegressor(BaseRegressor):
         for k in range(n_models):
             w = local[:, k] * weight
             near = used & (local[:, k] > np.exp(-0.5 * _REACH**2))
-            if np.unique(Z[near], axis=0).shape[0] < 2:
-                near = used
+            if np.unique(Z[near], axis=0).shape[0] < 2 or w[near].sum() <= 1.1:
+                near, w = used, weight
             model = clone(template)
             model.fit(X[near] - self.centers_[k], y[near], sample_weight=w[near])
             self.estimators_.append(model)

@@ -34,19 +34,16 @@ class StepwiseRegressor(LinearRegressor):
     r"""Least squares on features chosen by forward and backward F-tests.
 
     Starting from no feature, the least significant selected feature is removed as
-    long as its test allows it; otherwise the most significant feature outside the
-    model enters; the search ends when neither test moves a feature.
+    long as its test allows it; otherwise the most significant other feature enters.
 
     Parameters
     ----------
     p_enter : float, default=0.05
         A feature enters if the p-value of its partial F-test is below this.
     p_remove : float, default=0.10
-        A selected feature leaves if the p-value of its partial F-test is above
-        this. At least `p_enter`, or a feature could enter and leave for ever.
+        A selected feature leaves if its p-value is above this; at least `p_enter`.
     fit_intercept : bool, default=True
-        Whether to fit an intercept, which is not subject to selection. Without it,
-        the data are expected to be centred, or the model to pass through zero.
+        Whether to fit an intercept, which is not subject to selection.
 
     Attributes
     ----------
@@ -84,9 +81,7 @@ class StepwiseRegressor(LinearRegressor):
         F = \frac{RSS(S) - RSS(S \cup j)}{RSS(S \cup j) / \nu}, \qquad
         \nu = \sum_i w_i - |S \cup j| - 1,
 
-    with one more degree of freedom where no intercept is fitted. Sample weights count
-    repetitions; weights known only up to a factor have to be scaled to sum up to the
-    number of samples.
+    with one more degree of freedom where no intercept is fitted.
 
     The p-values are those of tests fixed in advance; after selection they are too
     small, and among collinear features the choice is unstable [3]_.

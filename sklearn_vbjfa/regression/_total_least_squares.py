@@ -30,10 +30,8 @@ class TotalLeastSquares(LinearRegressor):
     input_noise : array-like, default=None
         Noise variances of the features, shape (n_features,) [unit of X_j squared],
         zero for a feature known exactly, or the covariance of their noise, shape
-        (n_features, n_features) [unit of X_i times unit of X_j]. To be given
-        together with `output_noise`; only their ratios matter. ``None`` is the
-        classical problem: one variance for all features and the output, in the
-        units of the data.
+        (n_features, n_features). To be given together with `output_noise`; only their
+        ratios matter. None is one variance for all columns, in the units of the data.
     output_noise : float, default=None
         Noise variance of the output [unit of y squared], positive. To be given
         together with `input_noise`.
@@ -52,7 +50,6 @@ class TotalLeastSquares(LinearRegressor):
     See Also
     --------
     sklearn.linear_model.LinearRegression : No noise in X.
-    sklearn.cross_decomposition.PLSRegression : Regression on few directions of X.
 
     Notes
     -----
@@ -76,9 +73,6 @@ class TotalLeastSquares(LinearRegressor):
     is then given up until the condition holds, with squares compared to a relative
     1.5e-8 (the nongeneric solution of [2]_), and so are directions of X at rounding
     level: the solution has minimum norm, measured in noise standard deviations.
-
-    Without `input_noise` the estimate depends on the units of the features, because
-    the assumption of equal noise does.
 
     References
     ----------
@@ -134,8 +128,7 @@ class TotalLeastSquares(LinearRegressor):
 
     def _noise_coordinates(self, n_features):
         """Coordinates ``X @ whiten`` of independent noise, of unit variance or zero."""
-        # Returns whiten (n_features, n_features), which new coordinates are exact
-        # (n_features,), and the noise standard deviation of y.
+        # Returns whiten (d, d), the exact coordinates (d,), and the deviation of y.
         if (self.input_noise is None) != (self.output_noise is None):
             names = ["input_noise", "output_noise"]
             given, missing = names if self.output_noise is None else names[::-1]
@@ -237,11 +230,6 @@ def replicate_noise(X, groups):
         accept the object as `input_noise`, others its diagonal. The covariance is
         singular with fewer degrees of freedom than features.
 
-    Raises
-    ------
-    ValueError
-        If no unit was measured more than once, or the lengths of X and groups differ.
-
     See Also
     --------
     VBJFARegressor : Accept the result as `input_noise`.
@@ -250,7 +238,8 @@ def replicate_noise(X, groups):
     -----
     The noise must be that of the fitted rows: for means of m measurements divide the
     covariance by m. A bias that is common to all measurements of a unit is not
-    detected.
+    detected. With fewer than 20 degrees of freedom 90 % intervals of coefficients hold
+    less: 86 % with 8, 77 % with 3.
 
     References
     ----------
@@ -276,6 +265,8 @@ def replicate_noise(X, groups):
     X = check_array(X, dtype=np.float64, ensure_min_samples=2, input_name="X")
     groups = column_or_1d(groups)
     check_consistent_length(X, groups)
+    if any(label is None for label in groups):
+        raise ValueError("groups must not contain None: give each row a label.")
     _, unit, count = np.unique(groups, return_inverse=True, return_counts=True)
     dof = X.shape[0] - count.size
     if dof == 0:

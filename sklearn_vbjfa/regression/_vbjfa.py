@@ -61,8 +61,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
         If False, X and y are not centred.
     query : {"noisy", "noiseless"}, default="noisy"
         Inputs of `predict`: as noisy as those of the fit, or noiseless. For noiseless
-        queries with unknown `input_noise` the intervals cover all admissible values of
-        the noise. Rows must be independent.
+        queries with unknown `input_noise` the intervals cover all admissible noise of
+        the same fraction in each input. Rows must be independent.
     max_iter : int, default=20000
         Maximum number of iterations.
     tol : float, default=1e-7
@@ -81,7 +81,9 @@ class VBJFARegressor(BaseJointFactorRegressor):
     coef_std_ : ndarray of shape (n_features,)
         Posterior standard deviations of `coef_`; infinite for a constant input. For
         noiseless queries and correlated latent inputs they include the uncertainty of
-        the input noise.
+        the input noise. Too small if all coefficients are within the noise of least
+        squares and samples are few, as in Bayesian ridge regression; with independent
+        latent inputs they are valid for relevant inputs alone.
     coef_cov_ : ndarray of shape (n_features, n_features)
         Posterior covariance of `coef_`.
     intercept_ : float
@@ -90,7 +92,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Variances of the input noise, or its covariance with correlated latent inputs;
         if unknown, the middle of the admissible range.
     output_noise_ : float
-        Variance of y given noiseless inputs [unit of y squared].
+        Variance of y given noiseless inputs [unit of y squared]; biased if it is small
+        relative to the noise of many inputs.
     alpha_ : ndarray of shape (n_features,)
         Posterior means of the precisions [1 / unit of y squared]; infinite for a
         constant input.

@@ -71,6 +71,8 @@ def test_intervals_cover_with_estimated_noise():
 def test_invalid_input_is_refused():
     with pytest.raises(ValueError, match=r"some unit more than once.*got 4 units"):
         replicate_noise(np.eye(4), [1, 2, 3, 4])
+    with pytest.raises(ValueError, match="must not contain None"):
+        replicate_noise(np.eye(4), [None] * 4)
     with pytest.raises(ValueError, match="inconsistent numbers of samples"):
         replicate_noise(np.eye(4), [1, 1])
     with pytest.raises(ValueError, match="NaN"):

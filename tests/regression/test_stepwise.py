@@ -133,8 +133,8 @@ def test_bad_input(hald):
     X, y = hald
     with pytest.raises(ValueError, match=r"got p_enter=0.2 and p_remove=0.1\. Lower"):
         StepwiseRegressor(p_enter=0.2).fit(X, y)
-    with pytest.raises(ValueError, match="sum up to more than 2, got 1"):
-        StepwiseRegressor().fit(X, y, sample_weight=np.full(13, 1 / 13))
+    with pytest.raises(ValueError, match="sum up to more than 2, got 2"):
+        StepwiseRegressor().fit(X, y, sample_weight=np.full(13, 2 / 13))
     with pytest.raises(ValueError, match="must not be negative, got a smallest"):
         StepwiseRegressor().fit(X, y, sample_weight=np.linspace(-1, 1, 13))
     with pytest.raises(ValueError, match="at least one non-zero"):

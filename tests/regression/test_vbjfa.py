@@ -1,5 +1,7 @@
 """VB-JFA regression: models, limits, invariances and messages."""
 
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_vbjfa import JFARegressor, VBJFARegressor
+from sklearn_vbjfa import JFARegressor, LocallyWeightedRegressor, VBJFARegressor
 from tests.regression._problems import (
     assert_same_fit,
     bayesian_ridge,
@@ -192,6 +194,7 @@ def test_too_few_iterations_are_reported(kind):
     X, y, _ = make_regression(17)
     with pytest.warns(ConvergenceWarning, match=r"after max_iter=2 iterations"):
         model = make_model(kind, max_iter=2, tol=0).fit(X, y)
+    assert model.n_iter_ == 2
     assert not model.converged_
 
 
@@ -219,6 +222,25 @@ def test_invalid_noise_is_refused(noise, message):
     X, y, _ = make_regression(30)
     with pytest.raises(ValueError, match=message):
         VBJFARegressor(query="noiseless", input_noise=noise).fit(X, y)
+
+
+@pytest.mark.parametrize("latent", ["correlated", "independent"])
+@pytest.mark.parametrize(("times", "named"), [(1.0, False), (4.0, True)])
+def test_noise_beyond_the_inputs_given_y_is_named(times, named, latent):
+    X, y, _ = make_regression(35, 2000, 3, noise=0.2, output_noise=0.1)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        VBJFARegressor(latent=latent, input_noise=np.full(3, 0.04 * times)).fit(X, y)
+    assert any("given y" in str(w.message) for w in caught) == named
+
+
+@pytest.mark.parametrize("n_used", [1, 60])
+def test_weights_of_one_sample_are_refused(n_used):
+    X, y, _ = make_regression(36, 60)
+    weight = np.where(np.arange(60) < n_used, 1 / n_used, 0.0)
+    for regressor in (VBJFARegressor(), LocallyWeightedRegressor()):
+        with pytest.raises(ValueError, match=r"more than 1, got .* number of"):
+            regressor.fit(X, y, sample_weight=weight)
 
 
 @pytest.mark.filterwarnings("error")

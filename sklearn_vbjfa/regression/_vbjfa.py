@@ -18,7 +18,7 @@ NOISE_PRIOR_MODE = 0.2
 NOISE_PRIOR_WEIGHT = 0.1
 # Up to this many features the model with correlated latents, whose iterations cost the
 # cube of their number, takes at most some seconds with fewer samples than features.
-CUBIC_FEATURES = 64
+CUBIC_FEATURES = 128
 
 
 class VBJFARegressor(BaseJointFactorRegressor):
@@ -30,7 +30,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
     With the default ``query="noisy"`` this is Bayesian regression for predictions from
     inputs that are as noisy as the fitted ones. It equals least squares with many rows,
     and is better with many, correlated or irrelevant inputs. With fewer rows than
-    inputs, more than 64, it assumes that few matter; if all do, use ridge regression.
+    inputs, more than 128, it assumes that few matter; if all do, use ridge regression.
     ``query="noiseless"`` corrects the bias by input noise, for planned motions, better
     instruments and coefficients with a meaning. It needs the size of the noise
     (`input_noise`, `replicate_noise`); without it the data only bound the coefficients.
@@ -41,7 +41,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         ``"independent"``: the model of the paper, one latent input for each observed
         input. ``"correlated"``: the latent inputs have a full covariance. ``"auto"``:
         correlated; independent with ``prior="paper"``, and with fewer samples than
-        inputs and more than 64 inputs.
+        inputs and more than 128 inputs.
     prior : {"noise", "paper"}, default="noise"
         Prior of independent latent inputs. ``"paper"``: one precision alpha_m for both
         loadings w_zm and w_xm, no prior on the input noise. ``"noise"``: alpha_m for

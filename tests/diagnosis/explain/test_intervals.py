@@ -325,13 +325,10 @@ def test_positive_shapes_have_positive_intervals_and_a_rise_is_a_warning():
         coef=np.array([0.5]), shape=("vs",), covariance=0.01 * np.eye(2), freedom=30.0
     )
     found = SimpleNamespace(warning="", rivals=(), evidence=None)
-    search = SimpleNamespace(findings=[found])
-    final = SimpleNamespace(
-        effects=[Stribeck(joint=0, vs=0.05)], effect_estimates=[estimate]
-    )
+    search, effects = SimpleNamespace(findings=[found]), [Stribeck(joint=0, vs=0.05)]
+    final = SimpleNamespace(effects=effects, effect_estimates=[estimate])
     for rising in (set(), {0}):
-        names = search, final, ["j1"], [False], set(), rising
-        (effect,) = discovered_effects(*names)
+        (effect,) = discovered_effects(search, final, ["j1"], [False], set(), rising)
         low, high = effect.intervals["vs"]
         assert 0 < low < 0.05 < high
         assert low * high == pytest.approx(0.05**2)

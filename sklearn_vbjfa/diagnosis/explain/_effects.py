@@ -76,7 +76,7 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising):
         for key, std in deviations.items():
             value, width = values[key], half * std
             intervals[key] = value - width, value + width
-            if key in getattr(effect, "positive", ()):
+            if value > 0 and key in getattr(effect, "positive", ()):
                 # On the logarithm, so that the interval is positive.
                 factor = math.exp(min(width / value, _MAX_LOG))
                 intervals[key] = value / factor, value * factor

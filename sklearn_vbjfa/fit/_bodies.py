@@ -6,7 +6,7 @@ from itertools import compress
 
 import numpy as np
 from scipy import linalg
-from scipy.special import softmax
+from scipy.special import logsumexp, softmax
 
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import components, scaled_eigen, solve_spd
@@ -398,22 +398,39 @@ def propagate_sites(sites, marginals):
     return sites
 
 
+def _cavities(precision, product, sites):
+    """Return precisions (n, k, k) and products (n, k) of marginals without sites."""
+    precision = precision - np.array([site.precision for site in sites])
+    return precision, product - np.array([site.right for site in sites])
+
+
+def _log_scale_weights(precision, product):
+    """Return eigenvalues, vectors, products, and log evidence of each scale (n, s)."""
+    # precision (n, k, k), product (n, k): of the data, where the prior is isotropic.
+    value, vectors = np.linalg.eigh(precision)
+    value = np.maximum(value, 0.0)
+    product = _matvec(np.swapaxes(vectors, 1, 2), product)
+    s2, ratio = (SCALES**2)[:, None], SCALES / DESCRIBED
+    growth = 1 + s2 * value[:, None]
+    log_weight = 0.5 * product[:, None] ** 2 * s2 / growth - 0.5 * np.log(growth)
+    prior = ratio / (1 + ratio**2)
+    prior[[0, -1]] *= 0.5  # the trapezoidal rule
+    return value, vectors, product, log_weight.sum(axis=2) + np.log(prior)
+
+
+def _log_evidence(precision, product):
+    """Return the log evidence of bodies (n,), with their scales integrated."""
+    return logsumexp(_log_scale_weights(precision, product)[3], axis=1)
+
+
 def _match_sites(precision, product, sites):
     """Match the mean and covariance of scale mixtures by sites."""
     # precision (n, k, k), product (n, k): marginals with the present sites. Returns the
     # sites and the largest change of a mean, in deviations.
-    site_precision = np.array([site.precision for site in sites])
-    site_product = np.array([site.right for site in sites])
-    value, vectors = np.linalg.eigh(precision - site_precision)
-    Vt = np.swapaxes(vectors, 1, 2)
-    value = np.maximum(value, 0.0)
-    cavity_product = _matvec(Vt, product - site_product)
-    s2, ratio = (SCALES**2)[:, None], SCALES / DESCRIBED
-    growth = 1 + s2 * value[:, None]
-    log_weight = 0.5 * cavity_product[:, None] ** 2 * s2 / growth - 0.5 * np.log(growth)
-    prior = ratio / (1 + ratio**2)
-    prior[[0, -1]] *= 0.5  # the trapezoidal rule
-    weight = softmax(log_weight.sum(axis=2) + np.log(prior), axis=1)
+    cavity = _cavities(precision, product, sites)
+    value, vectors, cavity_product, log_weight = _log_scale_weights(*cavity)
+    Vt, s2 = np.swapaxes(vectors, 1, 2), (SCALES**2)[:, None]
+    growth, weight = 1 + s2 * value[:, None], softmax(log_weight, axis=1)
     variance = s2 / growth
     means = cavity_product[:, None] * variance
     mean = _matvec(np.swapaxes(means, 1, 2), weight)
@@ -444,17 +461,22 @@ def _single_departure(description, A, b, factor):
     """Find the body that most probably differs by a factor, all others as described."""
     # Returns the log evidence, the problem and its sites. In the evidence, a Cauchy
     # prior of the log factor replaces the prior of the body's scale. Candidates are
-    # chosen with scales as described.
+    # chosen in closed form, the others with scales as described.
     n, results = len(description.names), []
-    factors = np.where(np.eye(n, dtype=bool), factor, 1.0)
-    problems = [_BodyProblem(description.scaled(x), A, b) for x in factors]
     usual = [Site.of_scale(DESCRIBED)] * n
-    evidence = np.array([problem.log_evidence(usual) for problem in problems])
+    problem = _BodyProblem(description, A, b, fixed_size=True)
+    precision, product = _cavities(*problem.marginals(usual), usual)
+    change = (factor - 1.0) * _matvec(description.root, description.centre)
+    shifted = product - _matvec(precision, change)
+    evidence = _log_evidence(factor**2 * precision, factor * shifted)
+    evidence -= _log_evidence(precision, product)
+    evidence += 0.5 * np.einsum("ki,ki->k", change, product + shifted)
     for k in np.flatnonzero(evidence >= evidence.max() - RIVALS):
-        sites = problems[k].sites()
+        factors = np.where(np.arange(n) == k, factor, 1.0)
+        problem = _BodyProblem(description.scaled(factors), A, b)
+        sites = problem.sites()
         prior = sites[k].scale / (np.sqrt(2 * np.pi) * DESCRIBED * n)
-        total = problems[k].log_evidence(sites) + np.log(prior)
-        results.append((total, problems[k], sites))
+        results.append((problem.log_evidence(sites) + np.log(prior), problem, sites))
     best = max(results, key=lambda item: item[0])
     return best[0] - np.log1p((np.log(factor) / DESCRIBED) ** 2), *best[1:]
 
@@ -466,11 +488,13 @@ def _loosen(problem, sites):
     # evidence of the bodies found in each step, and a mask of all.
     found, unknown = [], np.zeros(len(sites), dtype=bool)
     while True:
-        evidence, gains = problem.log_evidence(sites), np.zeros(unknown.size)
-        for k in np.flatnonzero([x.scale > _UNKNOWN_SCALE for x in sites] & ~unknown):
-            loose = problem.description.loosened(np.arange(unknown.size) == k)
-            trial = replace(problem, description=loose)
-            gains[k] = trial.log_evidence(trial.sites()) - evidence
+        description = problem.description
+        precision, product = _cavities(*problem.marginals(sites), sites)
+        change = description.root @ np.linalg.inv(description.loose)
+        back = np.swapaxes(change, 1, 2)
+        gains = _log_evidence(back @ precision @ change, _matvec(back, product))
+        gains -= _log_evidence(precision, product)
+        gains *= ~unknown & [x.scale > _UNKNOWN_SCALE for x in sites]
         best = gains.max()
         if best <= RIVALS:
             return problem, sites, found, unknown

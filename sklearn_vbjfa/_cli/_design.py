@@ -44,7 +44,10 @@ def design(arguments, folder):
         report = read_report(_input.expand(arguments.report))
         robot = _identified(arguments, report, folder)
     else:
-        robot = _described(arguments, folder)
+        urdf, held = _input.robot(arguments, arguments.joints, folder)
+        file = _input.expand(arguments.urdf)
+        known = replace(KnownRobot.of(str(urdf)), description=str(file))
+        robot = _Robot(known, known.features.model_, str(file), held, 0.01)
     motion = _motion(arguments, robot, report)
     measured = all(0 < x < np.inf for x in robot.known.torque_noise)
     facts = _summary.facts(motion, report)
@@ -88,13 +91,6 @@ def _motion(arguments, robot, report):
             "give a longer --duration or another --seed."
         )
     return motion
-
-
-def _described(arguments, folder):
-    urdf, held = _input.robot(arguments, arguments.joints, folder)
-    file = _input.expand(arguments.urdf)
-    robot = replace(KnownRobot.of(str(urdf)), description=str(file))
-    return _Robot(robot, robot.features.model_, str(file), held, 0.01)
 
 
 def _identified(arguments, data, folder):

@@ -75,7 +75,8 @@ class _Files:
         address, local = f"{_BASE_ADDRESS}/{address}", self.folder / path
         for folder in (self.folder, self.folder / "original"):
             for candidate in (folder / path, folder / PurePosixPath(path).name):
-                if candidate.is_file() and _sha256(candidate) == sha256:
+                data = candidate.read_bytes() if candidate.is_file() else b""
+                if hashlib.sha256(data).hexdigest() == sha256:
                     return candidate
         if not self.download:
             raise FileNotFoundError(
@@ -99,11 +100,6 @@ class _Files:
                 f"network, put the file at {local}."
             ) from error
         return local
-
-
-def _sha256(path):
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _urdf(where, files):
@@ -270,18 +266,14 @@ def fetch_ur5(files):
         paths[Path(path).stem.removeprefix("log_")] = local
     for name, paths in movements.items():
         keys = ("q_actual", "qd_actual", *_UR5_SIGNALS, *_UR5_REFERENCE)
-        raw = {key: _whole_lines(paths[key]) for key in keys}
+        # The last line may be truncated.
+        texts = {key: paths[key].read_text("ascii").rpartition("\n")[0] for key in keys}
+        raw = {k: np.loadtxt(io.StringIO(x), delimiter=",") for k, x in texts.items()}
         n = min(map(len, raw.values()))
         t, raw = raw["q_actual"][:n, 0], {key: x[:n, 1:] for key, x in raw.items()}
         q, v = raw.pop("q_actual"), raw.pop("qd_actual")
         tau = np.array(_UR5_GAINS) * raw["i_actual"]
         yield Log(name, t, {"q": q, "v": v, "tau": tau, **raw})
-
-
-def _whole_lines(path):
-    """Read a table whose last line may be truncated."""
-    text = path.read_text("ascii").rpartition("\n")[0]
-    return np.loadtxt(io.StringIO(text), delimiter=",")
 
 
 _TX40_RATIOS = (32.0, 32.0, 45.0, -48.0, 45.0, 32.0)

@@ -231,13 +231,6 @@ class _AlikeProblem:
         return out
 
 
-def _unit(y, S):
-    """Return the magnitude of the generalised mean of values with covariance S."""
-    inverse = floored_inverse(S)
-    total = inverse.sum()
-    return np.sqrt((inverse.sum(axis=0) @ y / total) ** 2 + 1.0 / total)
-
-
 def pool_joint_values(result, groups, robot):
     """Return an `Estimate` with partial pooling over joints of the same drive."""
     shared = _shared_values(groups, robot, result.marginal_std)
@@ -251,7 +244,10 @@ def pool_joint_values(result, groups, robot):
     # In units of the mean of their part, with covariance inflated as in `std`.
     unit = np.empty(index.size)
     for part in parts:
-        unit[part] = _unit(theta[index[part]], wide[np.ix_(index[part], index[part])])
+        # Magnitude of the generalised mean.
+        inverse = floored_inverse(wide[np.ix_(index[part], index[part])])
+        mean, total = inverse.sum(axis=0) @ theta[index[part]], inverse.sum()
+        unit[part] = np.sqrt((mean / total) ** 2 + 1.0 / total)
     scale = ratio[index] / unit
     S = C[np.ix_(index, index)] * np.outer(scale, scale)
     problem = _AlikeProblem(theta[index] / unit, S, parts)

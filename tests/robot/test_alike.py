@@ -164,7 +164,8 @@ def values(rng, n=4, noise=0.1, factor=1.0):
     x[0] *= factor
     S = np.diag(noise**2 * np.exp(0.5 * rng.standard_normal(n)))
     y = rng.multivariate_normal(x, S)
-    unit = _pooling._unit(y, S)
+    inverse = np.linalg.inv(S)
+    unit = np.sqrt((inverse.sum(axis=0) @ y / inverse.sum()) ** 2 + 1 / inverse.sum())
     problem = _pooling._AlikeProblem(y / unit, S / unit**2, (np.arange(n),))
     mean, covariance = problem.solve(problem.sites())
     std = unit * np.sqrt(np.diagonal(covariance))

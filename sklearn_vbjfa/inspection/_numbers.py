@@ -58,8 +58,8 @@ PERIODS, PLAUSIBLE = (1e3, 1e2, 10.0, 2.0, 0.5, 0.1, 1e-2, 1e-3), 2.0
 # samples over which speeds are measured to suppress encoder noise.
 FASTEST_TURN, FASTEST_SLIDE, TOO_FAST, SPEED_SAMPLES = 60.0, 10.0, 5.0, 5
 # Implausibly low share of the speed limits, at sample periods above this [s], which
-# are rare (dt=0.2 is 5 kHz in milliseconds).
-TOO_SLOW, LONG_PERIOD = 0.01, 0.15
+# are rare (dt=0.2 is 5 kHz in milliseconds); range of small errors of a period [log].
+TOO_SLOW, LONG_PERIOD, NEAR_PERIODS = 0.01, 0.15, (0.01, 0.3)
 # A lag is reported from this many standard errors on, if it raises the log squared
 # error of no joint by more than this, or this share of the total fall. Iterations, and
 # step that ends them [samples]; time constants of a low-pass relative to the lag.

@@ -426,6 +426,11 @@ def periods(reading):
         for x in dict.fromkeys([*number.PERIODS, *inverse])
         if fastest <= number.PLAUSIBLE * x
     ]
+    # Bodies absorb a small deviation of a single joint, but not of several.
+    near, (error,) = refine(reading, Change(), [lambda x: Change(period=np.exp(x))])
+    least, most = number.NEAR_PERIODS
+    if max(least, 3 * error) < abs(np.log(near.period)) < most:
+        changes.append(near)
     proposal = most_probable(
         judge(reading, x, required, variants=len(changes), joints=reading.every)
         for x in changes
@@ -442,5 +447,6 @@ def periods(reading):
     if max(best_rival, robot.springs) > proposal.log_odds - number.RIVAL:
         return None
     period = dt * proposal.change.period
-    remedy = {"dt": float(f"{period:.6g}")}
-    return replace(proposal, remedy=remedy, facts={"dt": dt, "period": period})
+    remedy, facts = {"dt": float(f"{period:.6g}")}, {"dt": dt, "period": period}
+    severity = "warning" * (proposal.change is near)
+    return replace(proposal, severity=severity, remedy=remedy, facts=facts)

@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import scipy
@@ -418,8 +418,7 @@ def climb(reading, moves, starts=(), step=number.CLEAR):
 
 def most_probable(candidates):
     """Return the candidate of the greatest odds; None if there is none."""
-    proposals = [x for x in candidates if x is not None]
-    return max(proposals, key=lambda x: x.log_odds, default=None)
+    return max(filter(None, candidates), key=lambda x: x.log_odds, default=None)
 
 
 def refine(reading, change, steps):
@@ -428,10 +427,12 @@ def refine(reading, change, steps):
     best, errors = reading.fit_change(change), np.full(len(steps), np.inf)
     for _ in range(number.PASSES if best is not None and steps else 0):
         robot = reading.robot_after(change)
-        residuals = [
-            [_residual_torques(reading, change.then(make(x))) for make in steps]
-            for x in (number.SLOPE, -number.SLOPE)
+        after = [
+            change.then(make(x)).signals(reading.signals)
+            for x, make in product((number.SLOPE, -number.SLOPE), steps)
         ]
+        residuals = [x.tau - sum(reading.bodies.described(x.states)) for x in after]
+        residuals = np.split(np.array(residuals), 2)
         columns = -np.subtract(*residuals).transpose(1, 2, 0) / (2 * number.SLOPE)
         fit = robot.fit(columns=columns, deviation=number.STEP_OF_ZERO)
         errors, updated = fit.errors, change
@@ -442,12 +443,6 @@ def refine(reading, change, steps):
             break
         best, change = fit, updated
     return change, errors
-
-
-def _residual_torques(reading, change):
-    """Return residual torques (n, nv) of the described bodies after a change."""
-    signals, bodies = change.signals(reading.signals), reading.bodies
-    return signals.tau - sum(bodies.described(signals.states))
 
 
 def clear(change):

@@ -111,7 +111,7 @@ SENTENCES = {
     "coupled axes ({evidence}). Replace it by that of {name} {minus} that of {other}"
     "{also}.",
     "wrong_dt": "dt={dt:.6g} s is inconsistent with the motion: a period of "
-    "{period:.2g} s agrees better ({evidence}). Give dt, the sample period in "
+    "{period:.3g} s agrees better ({evidence}). Give dt, the sample period in "
     "seconds, or correct the time stamps.",
     "wrong_dt:fast": "Implausible speed: with dt={dt:.6g} s {name} moves at "
     "{speed:.3g} {unit}, and {limit:.3g} would be five times what it can. Give dt in "

@@ -264,10 +264,9 @@ def other_robot(reading):
 
 def computed_torque(reading):
     """Return torques that equal the described ones (a model was logged)."""
-    robot, tau = reading.robot, reading.robot.signals.tau
+    robot, tau, rows = reading.robot, reading.robot.signals.tau, reading.robot.rows
     residual = tau - robot.described
-    pairs = [(residual[rows, j], tau[rows, j]) for j, rows in enumerate(robot.rows)]
-    pairs = [pairs[j] for j in robot.joints]
+    pairs = [(residual[rows[j], j], tau[rows[j], j]) for j in robot.joints]
     largest = max(np.sqrt(np.mean(x**2) / (y.var() + 1e-300)) for x, y in pairs)
     # A single joint may have negligible friction.
     if len(pairs) < 2 or largest > number.COMPUTED:

@@ -43,20 +43,17 @@ def moving_states():
     return states
 
 
-def weights_of(problem):
-    effects = problem.model.effects[problem.model.n_members :]
-    return {
-        (one.effect.name, one.effect.joint): weight
-        for one, weight in zip(effects, problem.questions.alone)
-    }
-
-
 def test_all_forms_of_a_report_give_the_same_questions(loop, tmp_path):
     assert [(e.name, e.joint) for e in loop.effects_] == [("spring", 1)]
     data = loop.report_.to_dict()
     (tmp_path / "report.json").write_text(json.dumps(data), encoding="utf-8")
     kinds = (loop, loop.report_, data, tmp_path, str(tmp_path / "report.json"))
-    asked = [weights_of(posed(loop.identifier_, report=kind)) for kind in kinds]
+    asked = []
+    for kind in kinds:
+        problem = posed(loop.identifier_, report=kind)
+        effects = problem.model.effects[problem.model.n_members :]
+        names = [(one.effect.name, one.effect.joint) for one in effects]
+        asked.append(dict(zip(names, problem.questions.alone)))
     assert all(one == asked[0] for one in asked)
     # The discovered effect has the largest weight.
     weights = [weight for weight in asked[0].values() if weight > 0]

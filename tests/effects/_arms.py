@@ -51,13 +51,14 @@ def inverse_dynamics(model, states):
 
 
 class Derivatives:
-    """Derivatives of `inverse_dynamics` by the geometry, by central differences.
+    """Derivatives of torques by the geometry, by central differences.
 
     Has the interface of `TorqueDerivatives`, without its mathematics.
     """
 
-    def __init__(self, model, states, step=1e-4):
+    def __init__(self, model, states, step=1e-4, torques=inverse_dynamics):
         self._model, self._states, self._step = model, states, step
+        self._torques = torques
 
     def _change(self, change):
         """Differentiate by the scalar that `change` applies to a model and states."""
@@ -65,7 +66,7 @@ class Derivatives:
         shifted = self._states.copy(), self._states.copy()
         change(high, shifted[0], self._step)
         change(low, shifted[1], -self._step)
-        rise = inverse_dynamics(high, shifted[0]) - inverse_dynamics(low, shifted[1])
+        rise = self._torques(high, shifted[0]) - self._torques(low, shifted[1])
         return rise / (2 * self._step)
 
     def by_turn(self, joint, turns):

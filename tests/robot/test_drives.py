@@ -85,12 +85,6 @@ def identify(recording, drive=None, **settings):
     return RobotIdentifier(ARM, **keywords).fit_recording(recording)
 
 
-def delay_and_std(robot):
-    """Return the delay and its standard deviation."""
-    k = robot.parameter_names_.index("drive:delay")
-    return robot.theta_[k], robot.theta_std_[k]
-
-
 def test_torque_follows_from_the_control_law():
     recording = record()
     driven = PDDrive(KP, KD).driven(recording)
@@ -158,9 +152,9 @@ def test_estimated_velocities_have_the_lag_of_recorded_ones():
 def test_delay_is_estimated(delay):
     """Delays between samples, including negative ones."""
     robot = identify(record(delay))
-    estimate, std = delay_and_std(robot)
-    assert estimate == pytest.approx(delay, abs=1e-5)
-    assert 0 < std < 1e-3
+    k = robot.parameter_names_.index("drive:delay")
+    assert robot.theta_[k] == pytest.approx(delay, abs=1e-5)
+    assert 0 < robot.theta_std_[k] < 1e-3
     theta = robot.theta_[:-1].reshape(3, -1)
     assert_allclose(theta[:, 10], VISCOUS, rtol=0.02)
     (effect,) = robot.effects_
@@ -409,39 +403,23 @@ def test_follow_without_a_position_drive_is_refused():
 # -- the closed loop in MuJoCo ---------------------------------------------------------
 
 
-def identify_consistent(recording, drive=None, **settings):
-    """Fit consistent bodies, which model files need."""
-    return identify(recording, drive, projector="default", **settings)
-
-
-def motions(robot, recording, path, **options):
-    """Write the robot; return the motions by MuJoCo and by the package."""
-    drive = options.get("drive", robot.drive)
-    omitted = robot.to_mjcf(path, **options)
-    commands = drive.commands(recording) / KP
-    positions = followed(path, recording.states[0, :6], commands, DT)
-    return positions, robot.follow(recording, drive)[:, :3], omitted
-
-
-def assert_same_motion(actual, expected):
-    """Compare positions (n, nv) relative to the standard deviation of each joint."""
-    error = np.sqrt(((actual - expected) ** 2).mean(axis=0))
-    assert (error < 3e-3 * expected.std(axis=0)).all()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [None, 0.8])
 def test_mujoco_matches_the_closed_loop_simulation(tmp_path, limit):
     """Check gains, delay, offset, and a limit that does not clip the offset."""
     recording = record(0.0113, duration=6.0)
     drive = PDDrive(KP, KD, period=2.5e-4)
-    robot = identify_consistent(recording, drive, friction=(*FRICTION, "offset"))
+    # Model files need consistent bodies.
+    settings = {"friction": (*FRICTION, "offset"), "projector": "default"}
+    robot, path = identify(recording, drive, **settings), tmp_path / "arm.xml"
     if limit is not None:
         most = limit * np.abs(drive.driven(recording).tau).max(axis=0)
         drive = PDDrive(KP, KD, period=2.5e-4, saturation=most)
-    mujoco, own, left = motions(robot, recording, tmp_path / "arm.xml", drive=drive)
-    assert left == ()
-    assert_same_motion(mujoco, own)
+    assert robot.to_mjcf(path, drive=drive) == ()
+    own = robot.follow(recording, drive)[:, :3]
+    commands = drive.commands(recording) / KP
+    difference = followed(path, recording.states[0, :6], commands, DT) - own
+    assert (np.sqrt((difference**2).mean(axis=0)) < 3e-3 * own.std(axis=0)).all()
     if limit is not None:
         free = robot.follow(recording)[:, :3]
         difference = np.sqrt(((free - own) ** 2).mean(axis=0))

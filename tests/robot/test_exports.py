@@ -24,27 +24,10 @@ from sklearn_vbjfa.effects import (
 from sklearn_vbjfa.physical import min_eigenvalue
 from sklearn_vbjfa.robot import to_mjcf
 from sklearn_vbjfa.robot._exports import without_place
-from sklearn_vbjfa.simulation import TorqueModel
 from tests.model._mujoco import drive_torques, moving_states
 from tests.model._robots import random_tree
 from tests.model.test_mjcf import assert_same, rigid
-
-
-def robot_of(uses, seed=0, nv=4, friction=(), axes=("RX", "RY", "RZ")):
-    """Torque model of a random robot with effects and their coefficients, pairs."""
-    rng = np.random.default_rng(seed)
-    model, bodies = random_tree(rng, nv, axes)
-    names, values = zip(*friction) if friction else ((), np.zeros((0, nv)))
-    return TorqueModel(
-        model=model,
-        bodies=bodies,
-        friction_names=tuple(names),
-        friction=np.array(values, dtype=float).T,
-        effects=tuple(effect for effect, _ in uses),
-        coefficients=tuple(np.array(coef, dtype=float) for _, coef in uses),
-        gains=np.ones(nv),
-        dt=0.01,
-    )
+from tests.simulation._machines import machine
 
 
 def torques(robot, states):
@@ -61,14 +44,12 @@ def torques(robot, states):
     return found
 
 
-def written(robot, path):
-    return to_mjcf(path, robot, min_eigenvalue(robot.bodies))
-
-
 def test_all_that_mjcf_can_hold_is_exact(tmp_path):
     """Declared and found coefficients add up; nothing is left out."""
-    robot = robot_of(
-        [
+    rng = np.random.default_rng(0)
+    robot = machine(
+        *random_tree(rng, 4, ("RX", "RY", "RZ")),
+        effects=[
             (Viscous(1), [0.4]),
             (Coulomb(1), [0.7]),
             (Coulomb(2), [-0.2]),
@@ -81,15 +62,15 @@ def test_all_that_mjcf_can_hold_is_exact(tmp_path):
             (CouplingSpring(1, 3, ratio=-0.7), [6.0, 0.9]),
             (CouplingSpring(0, 2, ratio=0.4), [-2.0, 0.5]),
         ],
-        friction=[
-            ("viscous", [1.0, 2.0, 3.0, 4.0]),
-            ("coulomb", [0.5, 0.5, 0.5, 0.5]),
-            ("offset", [0.1, 0.2, 0.3, 0.4]),
-            ("rotor_inertia", [0.2, 0.1, 0.3, 0.2]),
-        ],
+        friction={
+            "viscous": [1.0, 2.0, 3.0, 4.0],
+            "coulomb": 0.5,
+            "offset": [0.1, 0.2, 0.3, 0.4],
+            "rotor_inertia": [0.2, 0.1, 0.3, 0.2],
+        },
     )
     path = tmp_path / "robot.xml"
-    assert written(robot, path) == ()
+    assert to_mjcf(path, robot, min_eigenvalue(robot.bodies)) == ()
     states = moving_states(np.random.default_rng(5), 200, robot.n_joints)
     assert_same(drive_torques(path, states), torques(robot, states))
 
@@ -139,14 +120,10 @@ def test_mujoco_computes_what_predict_does(given, robot, moved, tmp_path):
     """Gains, a leaning base, an encoder's zero and a turned axis are in the file."""
     path = tmp_path / "identified.xml"
     if given == "model":
-        other = RobotIdentifier(moved.robot_model(), friction=("viscous",))
-        other.__dict__.update(robot.__dict__)
-        other.model = moved.robot_model()
-        left = other.to_mjcf(path)
-    else:
-        left = robot.to_mjcf(path)
-    expressible = [one for one in left if one.name == "stribeck"]
-    assert len(expressible) == 1
+        robot = without(robot, [])
+        robot.model = moved.robot_model()
+    left = robot.to_mjcf(path)
+    assert sum(one.name == "stribeck" for one in left) == 1
     states = moving_states(np.random.default_rng(0), 200, 6)
     plain = without(robot, ["stribeck"])
     dropped = {(one.name, one.joint) for one in left} - {("stribeck", 0)}

@@ -48,60 +48,46 @@ class Stiffening(Effect):
         return motion.q[:, [self.joint]] ** self.power
 
 
-def fit(recording, signals=None, **settings):
+def fit(recording, signals=None, states=False, **settings):
     settings = {"friction": ("viscous",), **settings}
     robot = RobotIdentifier(recording.urdf, dt=DT, **settings)
-    keywords = {"groups": recording.groups, "signals": signals}
-    return robot.fit(recording.q, recording.tau, **keywords)
+    X = recording.states if states else recording.q
+    return robot.fit(X, recording.tau, groups=recording.groups, signals=signals)
 
 
-def fitted_plain(recording):
-    return fit(recording, friction=("viscous", "coulomb")), {}
+EFFECTS = [
+    LoadFriction(joint=1),
+    Counterbalance(joint=2, form="linkage"),
+    MaxwellSlip(joint=3, loaded=(0.02,)),
+    Drift(joint=0, of="offset", time_constant=5.0),
+    Delay(joint=4, delay=0.003),
+    Payload(joint=5, instant=7.0, centre=(0.0, 0.1, 0.0)),
+    Signal(joint=2, signal="warmth", of="viscous", reference=0.3),
+]
+IN_MODEL = [BaseTilt(), JointZero(joint=2), JointAxis(joint=3), TorqueGain(joint=1)]
+ROBOTS = {
+    "plain": {"friction": ("viscous", "coulomb")},
+    "effects": {"effects": EFFECTS},
+    "in model": {"effects": IN_MODEL},
+    "gains": {"gains": "unknown", "options": FitOptions(known_masses={"elbow": 4.0})},
+    "states": {
+        "friction": ("coulomb",),
+        "regressor": Ridge(),
+        "options": FitOptions(standstill=None),
+    },
+}
 
 
-def fitted_effects(recording):
-    effects = [
-        LoadFriction(joint=1),
-        Counterbalance(joint=2, form="linkage"),
-        MaxwellSlip(joint=3, loaded=(0.02,)),
-        Drift(joint=0, of="offset", time_constant=5.0),
-        Delay(joint=4, delay=0.003),
-        Payload(joint=5, instant=7.0, centre=(0.0, 0.1, 0.0)),
-        Signal(joint=2, signal="warmth", of="viscous", reference=0.3),
-    ]
-    signals = {"warmth": np.sin(np.arange(len(recording.q)) / 300.0)}
-    return fit(recording, signals, effects=effects), {"signals": signals}
-
-
-def fitted_in_model(recording):
-    effects = [BaseTilt(), JointZero(joint=2), JointAxis(joint=3), TorqueGain(joint=1)]
-    return fit(recording, effects=effects), {}
-
-
-def fitted_gains(recording):
-    options = FitOptions(known_masses={"elbow": 4.0})
-    return fit(recording, gains="unknown", options=options), {}
-
-
-def fitted_states(recording):
-    robot = RobotIdentifier(
-        recording.urdf,
-        dt=DT,
-        friction=("coulomb",),
-        regressor=Ridge(),
-        options=FitOptions(standstill=None),
-    )
-    return robot.fit(recording.states, recording.tau), {}
-
-
-ROBOTS = (fitted_plain, fitted_effects, fitted_in_model, fitted_gains, fitted_states)
-
-
-@pytest.fixture(scope="module", params=ROBOTS, ids=lambda f: f.__name__)
+@pytest.fixture(scope="module", params=ROBOTS)
 def fitted(request, simulated):
+    """Return a robot and further inputs of its predictions."""
+    given = {}
+    if request.param == "effects":
+        given["signals"] = {"warmth": np.sin(np.arange(len(simulated.q)) / 300.0)}
+    settings = {"states": request.param == "states", **ROBOTS[request.param]}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return request.param(simulated)
+        return fit(simulated, **given, **settings), given
 
 
 @pytest.fixture(scope="module")
@@ -200,30 +186,18 @@ def changed(saved, tmp_path, change):
     return path
 
 
-def assign(*keys, value):
+def assign(*keys, value=None):
+    """Return a change of an entry; without a value, the entry is deleted."""
+
     def change(content):
         for key in keys[:-1]:
             content = content[key]
-        content[keys[-1]] = value
+        if value is None:
+            del content[keys[-1]]
+        else:
+            content[keys[-1]] = value
 
     return change
-
-
-def delete(*keys):
-    def change(content):
-        for key in keys[:-1]:
-            content = content[key]
-        del content[keys[-1]]
-
-    return change
-
-
-def nested(depth):
-    """Return nested lists."""
-    value = 0.0
-    for _ in range(depth):
-        value = [value]
-    return value
 
 
 def effect(name="ripple", joint=0, **shape):
@@ -231,12 +205,13 @@ def effect(name="ripple", joint=0, **shape):
     return [{"name": name, "joint": joint, "shape": shape}]
 
 
+DEEP = json.loads("[" * 400 + "0.0" + "]" * 400)
 BAD = {
     "another format": (assign("format", value="x"), "'format'"),
     "newer": (assign("version", value=3), "'version' is 3, and"),
     "version is not a number": (assign("version", value="1"), "'version' is"),
-    "no URDF": (delete("text"), "'text' is missing"),
-    "no parameters": (delete("theta_"), "'theta_' is missing"),
+    "no URDF": (assign("text"), "'text' is missing"),
+    "no parameters": (assign("theta_"), "'theta_' is missing"),
     "no number": (assign("theta_", 3, value="much"), "'theta_' must hold numbers"),
     "no cut-off": (
         assign("plan", "cutoff", value="much"),
@@ -247,9 +222,9 @@ BAD = {
         assign("parameters", 0, value="joint_2:m"),
         "'parameters' must hold the names of the parameters",
     ),
-    "too few": (delete("theta_", -1), "'theta_' must hold 72 values, one per"),
+    "too few": (assign("theta_", -1), "'theta_' must hold 72 values, one per"),
     "no object": (assign("plan", value=[]), "'plan' must hold an object"),
-    "too deep": (assign("theta_", value=nested(400)), "rows of the same|recursion"),
+    "too deep": (assign("theta_", value=DEEP), "rows of the same|recursion"),
     "broken URDF": (assign("text", value="<robot"), "'text' is invalid"),
     "another joint": (
         assign("joints", 1, value="elbow"),

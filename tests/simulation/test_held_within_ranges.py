@@ -18,6 +18,7 @@ from tests.simulation._random_robots import (
     random_predictor,
     with_effects,
 )
+from tests.simulation.test_stepper import step_torques
 
 DEPENDENT = [
     name
@@ -64,16 +65,6 @@ def torques(predictor, X):
     return predictor.torques(predictor.prepare(X))
 
 
-def load_of(predictor, X):
-    """Return the rigid-body torques that load the joints, by Pinocchio."""
-    bodies = predictor.bodies(
-        predictor.load_parameters[: predictor.features_.n_parameters_]
-    )
-    model = predictor.features_.model_.copy()
-    model.armature = np.zeros(model.nv)
-    return rigid(model, bodies[:, :10].copy(), X)
-
-
 # Margin as a share of the width, and the torque as a function of the clamped signal,
 # its ends, and the sign of the velocity. Speeds have both signs and twice the width.
 LAWS = [
@@ -102,7 +93,11 @@ def test_predictions_are_clamped_outside_the_range(effect, coef, share, law):
     free = with_effects(bare, (effect,), coef, () if of_load else coef)
     X = random_motion(rng, 3)
     (quantity, *_) = effect.depends
-    load = load_of(free, X)[:, 1]
+    # Rigid-body torques that load the joint, by Pinocchio.
+    bodies = free.bodies(free.load_parameters[: free.features_.n_parameters_])
+    model = free.features_.model_.copy()
+    model.armature = np.zeros(model.nv)
+    load = rigid(model, bodies[:, :10].copy(), X)[:, 1]
     values = {"position": X[:, 1], "speed": X[:, 4], "load": load}[quantity]
     own = abs(values) if quantity == "speed" else values
     ends = np.quantile(own, [0.45, 0.6])
@@ -121,18 +116,14 @@ def test_predictions_are_clamped_outside_the_range(effect, coef, share, law):
     assert np.abs(torques(own, X) - unclamped)[~inside].max() > 1e-3
 
 
-def step_torques(predictor, X):
-    stepper = Stepper(predictor.torque_model())
-    return np.array([stepper.step(*row.reshape(3, -1)) for row in X])
-
-
 @pytest.mark.parametrize("name", DEPENDENT)
 @pytest.mark.parametrize("seed", range(3))
 def test_single_steps_equal_batch_torques(name, seed):
     rng = np.random.default_rng(seed)
     predictor = clamped(random_predictor(rng, 3, [name, "load_friction"]))
     X = random_motion(rng, 3)
-    assert_allclose(step_torques(predictor, X), torques(predictor, X), atol=1e-11)
+    stepper = Stepper(predictor.torque_model())
+    assert_allclose(step_torques(stepper, X), torques(predictor, X), atol=1e-11)
 
 
 @pytest.mark.parametrize("k", [50.0, 2e4])

@@ -45,10 +45,8 @@ def residuals(rng, seconds, size=1.0, rho=0.0, share=1.0, torque=TORQUE):
     )
 
 
-def intervals_of(parts, others=None):
-    others = parts if others is None else others
-    searched, held_out = zip(parts, others)
-    return error_intervals(later(held_out), searched, SPREAD, DT)
+def intervals_of(searched, held_out):
+    return error_intervals(later(2 * (held_out,)), 2 * (searched,), SPREAD, DT)
 
 
 def later(parts):
@@ -67,7 +65,7 @@ def test_coverage_of_error_intervals(seconds, rho, share):
         settings = {"rho": rho, "share": share}
         searched = residuals(rng, 3 * seconds, **settings)
         held_out = residuals(rng, seconds, **settings)
-        interval = intervals_of((searched, held_out))["after"]
+        interval = intervals_of(searched, held_out)["after"]
         error = residuals(rng, NEXT_SECONDS, **settings).relative_error(SPREAD)
         inside.append((interval[0] < error) & (error < interval[1]))
     # 600 intervals: the standard deviation of the coverage is 1.2 %.
@@ -102,34 +100,29 @@ def test_error_intervals_use_the_order_in_time():
     )
 
     def rows(chosen):
-        return TorqueResiduals(
-            index=growing.index[chosen],
-            torque=growing.torque[chosen],
-            predicted=growing.predicted[chosen],
-            weight=growing.weight[chosen],
-        )
+        values = {name: x[chosen] for name, x in vars(growing).items()}
+        return TorqueResiduals(**values)
 
     middle = np.isin(np.arange(2000) // 500, [1])
     parts = rows(~middle), rows(middle)
-    searched, held_out = zip(parts, parts)
-    ends = error_intervals(held_out, searched, SPREAD, DT)["after"]
     # The same rows in another order.
-    mirror = [rows(np.flatnonzero(~middle)[::-1]), rows(middle)]
-    same = error_intervals((mirror[1],) * 2, (mirror[0],) * 2, SPREAD, DT)["after"]
-    assert_allclose(ends, same, rtol=1e-9)
+    mirror = rows(np.flatnonzero(~middle)[::-1]), rows(middle)
     # Shuffled indices hide the slow growth, so the interval is narrower.
     shuffled = rng.permutation(2000)
     mixed = [replace(part, index=shuffled[part.index]) for part in parts]
-    wrong = error_intervals((mixed[1],) * 2, (mixed[0],) * 2, SPREAD, DT)["after"]
+    ends, same, wrong = (
+        error_intervals((held_out,) * 2, (searched,) * 2, SPREAD, DT)["after"]
+        for searched, held_out in (parts, mirror, mixed)
+    )
+    assert_allclose(ends, same, rtol=1e-9)
     assert np.all(np.log(ends[1] / ends[0]) > 1.5 * np.log(wrong[1] / wrong[0]))
 
 
 def test_intervals_contain_the_errors():
     rng = np.random.default_rng(0)
-    parts = residuals(rng, 60.0), residuals(rng, 20.0)
-    intervals = intervals_of(parts)
-    error = parts[1].relative_error(SPREAD)
-    low, high = intervals["after"]
+    searched, held_out = residuals(rng, 60.0), residuals(rng, 20.0)
+    low, high = intervals_of(searched, held_out)["after"]
+    error = held_out.relative_error(SPREAD)
     assert np.all((low < error) & (error < high))
     assert_allclose(low * high, error**2)
 

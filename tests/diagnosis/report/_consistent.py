@@ -25,18 +25,16 @@ def assert_consistent(report):
         assert effect.warning, text
         assert effect.evidence.probability >= search["min_probability"], text
     for effect in (*effects, *possible):
-        _assert_values(effect)
+        for key, (low, high) in effect.intervals.items():
+            assert np.isfinite([low, high]).all(), key
+            assert low <= effect.parameters[key] <= high, key
         assert settings["n_candidates"] > 0
-    keys = {_key(effect) for effect in (*effects, *possible)}
+    keys = {(e.name, e.joint, str(e.parameters)) for e in (*effects, *possible)}
     assert len(keys) == len(effects) + len(possible)
     text = set(_facts.remedies(outcome))
     uncertain = {(e.name, e.joint) for e in possible}
     assert not text & uncertain, f"to be corrected on a possible: {text & uncertain}"
     _assert_words(report)
-
-
-def _key(effect):
-    return effect.name, effect.joint, str(effect.parameters)
 
 
 def _is_known(effect):
@@ -58,13 +56,6 @@ def _is_known(effect):
             for key, (low, high) in ends.items()
         )
     )
-
-
-def _assert_values(effect):
-    """Intervals are finite and contain the reported values."""
-    for key, (low, high) in effect.intervals.items():
-        assert np.isfinite([low, high]).all(), key
-        assert low <= effect.parameters[key] <= high, key
 
 
 def _assert_words(report):

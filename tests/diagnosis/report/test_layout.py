@@ -83,18 +83,15 @@ def browse(path, *options):
     )
 
 
-def pages():
-    """Render pages with few joints, and with many joints of long names."""
-    names = tuple(f"left_arm_shoulder_{'pitch' * 6}_joint_{j}" for j in range(7))
-    return {
-        "three joints": Report(made(nv=3, n_effects=3)).to_html(),
-        "long names": Report(made(nv=7, n_effects=7, names=names)).to_html(),
-    }
+LONG_NAMES = tuple(f"left_arm_shoulder_{'pitch' * 6}_joint_{j}" for j in range(7))
 
 
-@pytest.fixture(scope="module", params=["three joints", "long names"])
+@pytest.fixture(
+    scope="module", params=[None, LONG_NAMES], ids=["three joints", "long names"]
+)
 def html(request):
-    return pages()[request.param]
+    n = 3 if request.param is None else 7
+    return Report(made(nv=n, n_effects=n, names=request.param)).to_html()
 
 
 @pytest.mark.slow

@@ -149,9 +149,6 @@ def test_repeated_motions_are_reported():
     names = ("slow", "fast", "last")
     text = section("Limits of the recordings", recordings=names, repeated=(repetition,))
     assert "Repeated motion: 2 s, 3 times in recordings slow and last." in text
-
-
-def test_no_section_without_limits():
     assert section("Limits of the recordings", recordings=("1", "2")) == ""
 
 
@@ -227,8 +224,6 @@ def test_a_known_mass_fixes_the_common_gain():
     assert "as heavy as described" not in text
     report = gains_of(common=common, common_size=4.0)
     contains(report.warnings[0], "4 times as heavy as described: check the payload of")
-
-
-def test_a_known_mass_without_effect_is_reported():
+    # A mass without effect on the torques.
     text = text_of(gains_of(common=CommonGain(masses={"hand": 1.5})))
     contains(text, "The mass of hand (1.5 kg) cannot fix the common gain")

@@ -228,19 +228,13 @@ def test_rows_of_the_error_table():
 # -- possible effects
 
 
-@pytest.fixture(name="open_question")
-def fixture_open_question():
-    """One named effect, and two that are possible."""
+def test_possible_effects_have_a_reason():
     possible = (
         make_possible(2, 3, NAMES),
         make_possible(1, 4, NAMES, warning=SMALL, evidence=EVIDENCE),
     )
-    return make_outcome(n_effects=1, possible=possible)
-
-
-def test_possible_effects_have_a_reason(open_question):
-    report = Report(open_question)
-    without = Report(changed(open_question, possible=()))
+    report = Report(make_outcome(n_effects=1, possible=possible))
+    without = Report(changed(report.outcome, possible=()))
     assert report.headline == without.headline
     assert report.status == without.status
     assert "torque ripple on joint 4 (undecided)" in str(report)

@@ -653,12 +653,13 @@ def suggests_lag(recipe, fit, source):
     robot, recording = fit.robot, source.recording
     plan, effects = robot.plan, (*robot.effects_, TorqueLag())
     length = max(_BLOCK_ROWS, 2 * _BLOCK_FILTERS * plan.lowpass.half)
-    rows = [
-        slice(int(at), int(at) + length)
-        for part in recording.segments
-        for at in np.linspace(part.start, part.stop - length, _BLOCKS)
-        if part.stop - part.start > length
-    ]
+    rows = []
+    for part in recording.segments:
+        starts = np.linspace(part.start, part.stop - length, _BLOCKS).astype(int)
+        if part.stop - part.start > _BLOCKS * length:
+            rows += [slice(at, at + length) for at in starts.tolist()]
+        elif part.stop - part.start > length:
+            rows.append(part)
     rows = rows[:: max(len(rows) // _BLOCKS, 1)] or list(recording.segments)[:_BLOCKS]
     excerpt = take_rows(recording, rows, range(len(rows)))
     states, _ = observe(excerpt, plan.state_estimator, False, source.n_jobs)

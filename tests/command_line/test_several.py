@@ -141,5 +141,5 @@ def test_the_folder_of_the_recordings_is_not_written_to(here, capsys):
 
 
 def test_a_bad_file_is_named(here, capsys):
-    Path("runs/d.csv").write_text("")
-    assert "runs/d.csv: is empty, no rows of data" in refusal(capsys, "inspect", "runs")
+    Path("runs/d.csv").write_text("t,q1,tau1\n0,0.1,a\n1,0.2,b\n")
+    assert "runs/d.csv: " in refusal(capsys, "inspect", "runs")

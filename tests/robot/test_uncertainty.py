@@ -138,8 +138,9 @@ def test_ninety_per_cent_hold_the_truth_where_a_motion_repeats(period):
         model, states, tau, noise = repeating(seed, period)
         robot = fitted(model, states, tau + noise, bodies="free")
         truth = fitted(model, states, tau, bodies="free").theta_unconstrained_
-        free = robot.identifiable_
-        error = np.abs(robot.theta_unconstrained_ - truth)[free]
+        # A disturbance that repeats may look like a lag, the last parameter.
+        free = np.flatnonzero(robot.identifiable_[: truth.size])
+        error = np.abs(robot.theta_unconstrained_[free] - truth[free])
         inside.append(error < NINETY * robot.theta_std_[free])
     # ten parameters of thirty robots, of which some go together
     assert np.size(inside) == 300

@@ -418,11 +418,6 @@ def _log_scale_weights(precision, product):
     return value, vectors, product, log_weight.sum(axis=2) + np.log(prior)
 
 
-def _log_evidence(precision, product):
-    """Return the log evidence of bodies (n,), with their scales integrated."""
-    return logsumexp(_log_scale_weights(precision, product)[3], axis=1)
-
-
 def _match_sites(precision, product, sites):
     """Match the mean and covariance of scale mixtures by sites."""
     # precision (n, k, k), product (n, k): marginals with the present sites. Returns the
@@ -461,15 +456,16 @@ def _single_departure(description, A, b, factor):
     """Find the body that most probably differs by a factor, all others as described."""
     # Returns the log evidence, the problem and its sites. In the evidence, a Cauchy
     # prior of the log factor replaces the prior of the body's scale. Candidates are
-    # chosen in closed form, the others with scales as described.
+    # chosen in closed form, with scales as described.
     n, results = len(description.names), []
     usual = [Site.of_scale(DESCRIBED)] * n
     problem = _BodyProblem(description, A, b, fixed_size=True)
     precision, product = _cavities(*problem.marginals(usual), usual)
     change = (factor - 1.0) * _matvec(description.root, description.centre)
     shifted = product - _matvec(precision, change)
-    evidence = _log_evidence(factor**2 * precision, factor * shifted)
-    evidence -= _log_evidence(precision, product)
+    pair = (factor**2 * precision, factor * shifted), (precision, product)
+    after, before = (_log_scale_weights(*equations)[3] for equations in pair)
+    evidence = (after - before)[:, np.argmin(np.abs(SCALES - DESCRIBED))]
     evidence += 0.5 * np.einsum("ki,ki->k", change, product + shifted)
     for k in np.flatnonzero(evidence >= evidence.max() - RIVALS):
         factors = np.where(np.arange(n) == k, factor, 1.0)
@@ -492,8 +488,9 @@ def _loosen(problem, sites):
         precision, product = _cavities(*problem.marginals(sites), sites)
         change = description.root @ np.linalg.inv(description.loose)
         back = np.swapaxes(change, 1, 2)
-        gains = _log_evidence(back @ precision @ change, _matvec(back, product))
-        gains -= _log_evidence(precision, product)
+        loose = back @ precision @ change, _matvec(back, product)
+        pair = (_log_scale_weights(*x)[3] for x in (loose, (precision, product)))
+        gains = np.subtract(*(logsumexp(x, axis=1) for x in pair))
         gains *= ~unknown & [x.scale > _UNKNOWN_SCALE for x in sites]
         best = gains.max()
         if best <= RIVALS:

@@ -600,8 +600,9 @@ def contradicted(recording, errors, size):
     # Rows of lost torques (zeros) make the torques appear smaller.
     empty = (tau == 0).all(axis=1).any()
     poor = (errors > number.WORST * np.std(tau, axis=0)).any()
-    wrong = any(outlying(x).any() for x in tau.T) or wrong_states(recording)
-    return bool(far or empty or poor or wrong)
+    if far or empty or poor:
+        return True
+    return any(outlying(x).any() for x in tau.T) or bool(wrong_states(recording))
 
 
 # -- copied channels -------------------------------------------------------------------

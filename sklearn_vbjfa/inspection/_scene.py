@@ -182,9 +182,10 @@ def torque_lag(reading):
     # Only a lag is corrected; a filter must be more probable by far.
     # The inverse of a first-order filter adds its time constant times the derivative.
     tau, slope = robot_before.signals.tau, samples * robot_before.signals.slope
-    fits = [robot_before.fit(tau=tau + x * slope) for x in number.CONSTANTS]
-    lowpass_gain = max(fit.evidence for fit in fits) - robot_before.baseline.evidence
-    lowpass = samples > 0 and lowpass_gain > gain + number.DECISIVE
+    constants = number.CONSTANTS if samples > 0 else ()
+    best = (robot_before.fit(tau=tau + x * slope).evidence for x in constants)
+    lowpass_gain = max(best, default=-np.inf) - robot_before.baseline.evidence
+    lowpass = lowpass_gain > gain + number.DECISIVE
     seconds = samples * reading.dt
     facts = {"size": 1e3 * abs(seconds), "late": "late" if seconds > 0 else "early"}
     facts |= {"error": 1e3 * number.INTERVAL * error * reading.dt}

@@ -15,6 +15,8 @@ from sklearn_vbjfa.equations._equations import make_motion
 # depends on a signal, the second in any case. (Smoothing of the motion alone raises the
 # residual by some per cent above the floor.)
 ABOVE_FLOOR = (1.1, 1.5)
+# A refit changes the errors of all joints; increases below this factor are tolerated.
+WORSE = 1.05
 # Number of bins of a signal, significance level of a dependence (before the Bonferroni
 # correction for the number of signals), and most signals that are reported.
 _BINS, _LEVEL, _SIGNALS = 12, 0.01, 4

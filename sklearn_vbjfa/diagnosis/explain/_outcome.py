@@ -13,6 +13,7 @@ from sklearn_vbjfa.diagnosis.explain._effects import discovered_effects
 from sklearn_vbjfa.diagnosis.explain._errors import NEXT_SECONDS
 from sklearn_vbjfa.diagnosis.explain._gaps import (
     ABOVE_FLOOR,
+    WORSE,
     not_identifiable,
     unexplained,
 )
@@ -27,9 +28,9 @@ from sklearn_vbjfa.robot._channels import HALF_WIDTH
 from sklearn_vbjfa.robot._corrections import corrections_of
 from sklearn_vbjfa.robot._posterior import body_indices
 
-# Position or velocity limits that count as unlimited, error of torques that follow
-# the description, and increase of an error that is tolerated.
-_UNLIMITED, _WELL, _WORSE = 1e3, 0.2, 1.05
+# Position or velocity limits that count as unlimited, and error of torques that follow
+# the description.
+_UNLIMITED, _WELL = 1e3, 0.2
 # Attributes of curves that are readings of torque channels.
 _READINGS = {"measured", "before", "after", "predicted", "residual"}
 
@@ -140,7 +141,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
     names, errors = identifier.joint_names_, np.where(enough, after, np.nan)
     differing = contradictions(parts, spread, loop.alpha)
     least = np.fmin(columns["before"], columns["plain"])
-    rose = (errors > _WORSE * least) & ~(errors <= columns["floor"])
+    rose = (errors > WORSE * least) & ~(errors <= columns["floor"])
     # None if the mean error fell.
     rose &= np.nansum(errors - least) > 0
     joints = {x.joint for x in differing}, {*np.flatnonzero(rose).tolist()}

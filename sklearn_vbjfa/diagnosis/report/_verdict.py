@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR, NO_INFORMATION
+from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR, NO_INFORMATION, WORSE
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import TorqueGain
 
-# A refit changes the errors of all joints; increases below this factor are tolerated.
-_WORSE = 1.05
 # Relative error of predicting the mean of the held-out torque, and error above which
 # uses are qualified.
 _MEAN_TORQUE, _LARGE = 1.0, 0.5
@@ -143,7 +141,7 @@ def _is_worse(joint, error, difference):
     return significant and _rose(joint, error)
 
 
-def _rose(joint, name, factor=_WORSE):
+def _rose(joint, name, factor=WORSE):
     """Whether the error of a joint is larger than with another model."""
     # Joints at their noise floor are never worse, unlike those of unknown floor (nan).
     return (
@@ -183,7 +181,7 @@ def _uses(outcome, status, joints):
     strict = _joints_with(outcome, "effects", "possible")
     rose = []
     for joint in outcome.errors:
-        factor = 1.0 if joint.joint in strict else _WORSE
+        factor = 1.0 if joint.joint in strict else WORSE
         if _rose(joint, "before", factor) or _rose(joint, "plain", factor):
             rose.append(joint.joint)
     large = [joint.joint for joint in outcome.errors if joint.after > _LARGE]

@@ -89,6 +89,17 @@ def test_coarse_torques_are_reported_and_name_nothing(step):
     assert np.isfinite(loop.error_after_).all()
 
 
+def test_unit_of_errors_of_a_coarse_channel_is_that_of_the_whole_recording():
+    t = seconds(40.0)
+    q, tau = measure(t, pauses(t, [(0, 40)], [(0, 40)]))
+    size = 0.5 * tau.std(axis=0)
+    coarse = size * np.round(tau / size)
+    coarse[t < 8.0] += 8.0 * size  # before the held-out parts
+    loop = close(q, coarse)
+    assert not loop.report_.outcome.column("searched").any()
+    np.testing.assert_allclose(loop.torque_std_, coarse.std(axis=0), rtol=0.1)
+
+
 def assert_complete(loop):
     assert loop.effects_ == ()
     assert loop.report_.status == "nothing", loop.report_.headline

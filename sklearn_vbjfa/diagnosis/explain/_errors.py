@@ -52,8 +52,6 @@ def held_out_errors(loop, search, split, thinned, whole):
     fitted = searched[plain]
     if thinned is not split:
         fitted = plain.robot_.residuals_of(split.searched(whole), predicts=False)
-    # Joints whose channel carries no information have no weight.
-    fitted = replace(fitted, weight=fitted.weight * used)
     spread = torque_spread(fitted, held_out[declared])
     held_out, searched = equally_weighted(held_out), equally_weighted(searched, used)
     before, after = held_out[declared], held_out[completed]

@@ -332,9 +332,9 @@ def demo_arm_urdf() -> str:
 def joint_range(model):
     """Return centre and half width of each joint's range; a default if unlimited."""
     low, high = model.lowerPositionLimit, model.upperPositionLimit
-    # Halved first, since Pinocchio's "no limit" is the largest float.
+    # No limits are read as zeros or the largest float, hence halved first.
     reach, centre = 0.5 * high - 0.5 * low, 0.5 * high + 0.5 * low
-    unlimited = ~(reach <= _DEFAULT_RANGE)
+    unlimited = ~((reach > 0) & (reach <= _DEFAULT_RANGE))
     return np.where(unlimited, 0.0, centre), np.where(unlimited, _DEFAULT_RANGE, reach)
 
 

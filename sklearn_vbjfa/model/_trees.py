@@ -83,6 +83,8 @@ def position_range(model):
     """Return lowest and highest positions; without limits, a range of a turn or 2 m."""
     reach = np.where(is_prismatic(model), _SLIDE, np.pi)
     low, high = model.lowerPositionLimit, model.upperPositionLimit
+    # Descriptions without limits are read as zeros.
+    low, high = np.where(low == high, [[-np.inf], [np.inf]], [low, high])
     low = np.where(np.abs(low) < _NO_LIMIT, low, -reach)
     return low, np.where(np.abs(high) < _NO_LIMIT, high, reach)
 

@@ -5,6 +5,7 @@ import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa.datasets import Recording, load_demo_recording, make_robot_recording
+from sklearn_vbjfa.model import position_range
 
 ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
 
@@ -23,6 +24,17 @@ def test_torques_are_inverse_dynamics_plus_friction():
         for name, signal in zip(ALL, (v, np.sign(v), np.ones(6), a)):
             expected = expected + recording.friction[name] * signal
         np.testing.assert_allclose(torque, expected, rtol=1e-10, atol=1e-10)
+
+
+def test_limits_of_zero_are_no_limits():
+    """A URDF without limits is read so."""
+    model = pin.buildModelFromUrdf(make_robot_recording(duration=1.0).urdf)
+    for name in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit"):
+        setattr(model, name, np.zeros(model.nv))
+    recording = make_robot_recording(model, duration=1.0, random_state=0)
+    assert (np.ptp(recording.q, axis=0) > 0.5).all()
+    low, high = position_range(model)
+    np.testing.assert_allclose([low, high], [[-np.pi] * 6, [np.pi] * 6])
 
 
 def test_seed_and_recordings():

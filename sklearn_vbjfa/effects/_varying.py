@@ -71,7 +71,7 @@ class Drift(Varied, OfTime):
         T [s] of the decay.
     begin, end : float, default=0.0 and infinity
         Times [s] between which its mean is zero; with infinity D exp(-(t - begin) / T).
-        A search uses the first and the last time of the recording.
+        A search uses the first and the last time that it fits.
     """
 
     name = "drift"

@@ -10,7 +10,7 @@ _MODULES = {
     "_final": "EffectEstimate FinalFit",
     "_gaps": """
         ABOVE_FLOOR Dependence NO_INFORMATION NotIdentifiable Unexplained WORSE
-        dependences motion_signals
+        dependences motion_signals rises
     """,
     "_next": "ExpectedError MotionStatistics motion_statistics",
     "_outcome": "Fact JointErrors Outcome make_outcome parameter_values",

@@ -1,13 +1,14 @@
 """Discovered effects, with values and intervals of the final fit."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import special
+from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._posterior import Evidence
-from sklearn_vbjfa.effects import InModel, OfChannel, OfRobot, Shaped
+from sklearn_vbjfa.effects import InModel, OfChannel, OfRobot, Shaped, closure
 
 # Warnings on effects whose values are too uncertain for them to be reported.
 _UNKNOWN = "no parameter of it is known from zero"
@@ -29,11 +30,13 @@ class DiscoveredEffect:
     name: str  # of its class, in the library or custom
     joint: int  # from zero
     joint_name: str
-    parameters: dict  # coefficients and shape parameters
+    parameters: dict  # coefficients and shape parameters; nan if not identifiable
     units: dict
     # 90 %: Student's t, from the variance between blocks of time; none for shape
     # parameters that were not tuned, parameters that are not excited, and instants
     intervals: dict
+    # the same of coefficients, if the shape were known
+    intervals_given_shape: dict = field(default_factory=dict)
     evidence: Evidence  # posterior odds, and cross-validated gain
     rivals: tuple = ()  # effects that this data cannot distinguish from it, by name
     trials: tuple = ()  # the same, each a dict with name, joint and shape
@@ -62,24 +65,21 @@ class DiscoveredEffect:
         return not ends or any(low > 0 or high < 0 for low, high in ends)
 
 
-def discovered_effects(search, final, names, prismatic, contradicting, rising):
+def discovered_effects(search, final, names, prismatic, contradicting, rising, hidden):
     """Yield each `DiscoveredEffect`, with the values of the final fit."""
-    # contradicting, rising: joints on which recordings contradict each other, and on
-    # which the completed model has a larger error on held-out data.
+    # contradicting: joints on which recordings contradict each other; rising (nv,):
+    # increase of the held-out error, at most zero if tolerated; hidden: effects that
+    # are not identifiable.
+    hidden = {(x.name, x.joint) for x in hidden if x.reason == "excitation"}
     for finding, effect, estimate in zip(
         search.findings, final.effects, final.effect_estimates
     ):
         values, deviations = named_values(effect, estimate)
+        unknown = {key for key, std in deviations.items() if math.isnan(std)}
+        values |= dict.fromkeys(unknown - effect.shape().keys(), math.nan)
         deviations = {key: std for key, std in deviations.items() if std > 0}
         half = float(special.stdtrit(estimate.freedom, 0.95))
-        intervals = {}
-        for key, std in deviations.items():
-            value, width = values[key], half * std
-            intervals[key] = value - width, value + width
-            if value > 0 and key in getattr(effect, "positive", ()):
-                # On the logarithm, so that the interval is positive.
-                factor = math.exp(min(width / value, _MAX_LOG))
-                intervals[key] = value / factor, value * factor
+        given_shape = named_values(effect, estimate.given_shape())
         warning = finding.warning
         if not warning and isinstance(effect, InModel):
             nominal = dict(zip(effect.coefficients, effect.nominal))
@@ -90,11 +90,11 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising):
             # The magnitude of a channel effect is a shape parameter.
             size = estimate if isinstance(effect, OfChannel) else estimate.given_shape()
             warning = "" if _is_significant(effect, size, half) else _UNKNOWN
-        for joints, text in ((contradicting, _DIFFERING), (rising, _RISING)):
-            if not warning and not joints.isdisjoint(effect.acts_on(len(names))):
-                warning = text
+        acted = effect.acts_on(len(names))
+        warning = warning or _DIFFERING * (not contradicting.isdisjoint(acted))
+        warning = warning or _RISING * bool(rising[acted].sum() > 0)
         units = effect.parameter_units(prismatic[effect.joint])
-        rivals = (_rival_name(rival, effect, names) for rival in finding.rivals)
+        rivals = (*finding.rivals, *_containing(effect, finding, search, hidden))
         yield DiscoveredEffect(
             name=effect.name,
             joint=effect.joint,
@@ -102,16 +102,40 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising):
             scope="robot" if isinstance(effect, OfRobot) else "joint",
             parameters=values,
             units={key: units.get(key, "") for key in values},
-            intervals=intervals,
+            intervals=_intervals(effect, values, deviations, half),
+            intervals_given_shape=_intervals(effect, *given_shape, half),
             evidence=finding.evidence,
-            rivals=tuple(dict.fromkeys(rivals)),
+            rivals=tuple(dict.fromkeys(_rival_name(r, effect, names) for r in rivals)),
             trials=tuple(
-                {"name": r.name, "joint": r.joint, "shape": r.shape()}
-                for r in finding.rivals
+                {"name": r.name, "joint": r.joint, "shape": r.shape()} for r in rivals
             ),
             effect=effect,
             warning=warning,
         )
+
+
+def _intervals(effect, values, deviations, half):
+    """Return the intervals of parameters, from their standard deviations."""
+    intervals = {}
+    for key, std in deviations.items():
+        value, width = values[key], half * std
+        if width > 0:
+            intervals[key] = value - width, value + width
+            if value > 0 and key in getattr(effect, "positive", ()):
+                # On the logarithm, so that the interval is positive.
+                factor = math.exp(min(width / value, _MAX_LOG))
+                intervals[key] = value / factor, value * factor
+    return intervals
+
+
+def _containing(effect, finding, search, hidden):
+    """Yield effects that contain another one, and that the motion does not excite."""
+    # They explain as much, and only their further parameter makes them less probable.
+    known = {rival.name for rival in finding.rivals}
+    for other in search.library:
+        unexcited = (other.name, effect.joint) in hidden and other.name not in known
+        if unexcited and effect.name in closure(other, search.library):
+            yield clone(other).set_params(joint=effect.joint)
 
 
 def _rival_name(rival, effect, names):

@@ -32,6 +32,12 @@ _FREE_STD = 1e4
 _PENALTY = 5.0
 
 
+def rises(error, other, floor, factor=WORSE):
+    """Whether an error exceeds the noise floor, if known, and another error."""
+    above = np.isnan(floor) | (error > ABOVE_FLOOR[0] * floor)
+    return (error > factor * other) & above
+
+
 @dataclass(frozen=True, kw_only=True)
 class Dependence:
     """How much of a joint's residual a signal explains out of sample."""

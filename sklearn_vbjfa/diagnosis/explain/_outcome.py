@@ -13,8 +13,8 @@ from sklearn_vbjfa.diagnosis.explain._effects import discovered_effects
 from sklearn_vbjfa.diagnosis.explain._errors import NEXT_SECONDS
 from sklearn_vbjfa.diagnosis.explain._gaps import (
     ABOVE_FLOOR,
-    WORSE,
     not_identifiable,
+    rises,
     unexplained,
 )
 from sklearn_vbjfa.diagnosis.explain._next import ExpectedError, motion_statistics
@@ -141,11 +141,11 @@ def make_outcome(loop, search, final, judged, channels, whole):
     names, errors = identifier.joint_names_, np.where(enough, after, np.nan)
     differing = contradictions(parts, spread, loop.alpha)
     least = np.fmin(columns["before"], columns["plain"])
-    rose = (errors > WORSE * least) & ~(errors <= columns["floor"])
-    # None if the mean error fell.
-    rose &= np.nansum(errors - least) > 0
-    joints = {x.joint for x in differing}, {*np.flatnonzero(rose).tolist()}
-    effects = tuple(discovered_effects(search, final, names, prismatic, *joints))
+    rose = rises(errors, least, columns["floor"])
+    rising = np.where(rose, errors - least, np.fmin(errors - least, 0.0))
+    hidden = not_identifiable(search, names)
+    doubts = {x.joint for x in differing}, rising, hidden
+    effects = tuple(discovered_effects(search, final, names, prismatic, *doubts))
     judged_effects = loop.validation_model_.effects_
     parameters = parameter_values(identifier)
     units, curves = np.where(prismatic, "N", "N m").tolist(), judged["curves"]
@@ -177,7 +177,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
             "possible": tuple(e for e in effects if e.warning),
             "unnamed": tuple(e for e in judged_effects if isinstance(e, UnnamedTorque)),
             "unexplained": unexplained(search, names, sizes, errors, low),
-            "not_identifiable": not_identifiable(search, names),
+            "not_identifiable": hidden,
             "channels": channels,
             "contradictions": differing,
             "repeated": final.view.repetition.repeated,
@@ -261,40 +261,27 @@ def _settings(loop, search):
 def parameter_values(robot):
     """Return the parameters of a fitted identifier, a tuple of Fact."""
     features, nominal = robot.features_, np.full(robot.theta_.size, np.nan)
-    joints = robot.joint_names_
+    names, joints, theta = robot.parameter_names_, robot.joint_names_, robot.theta_
     if robot.gains_ is None or robot.gains_.absolute:
         # Unknown gains of the torque channels scale all values.
         bodies = nominal_parameters(features.nominal_), nominal_followers(features)
         nominal[body_indices(robot)] = np.vstack(bodies)
-    # nan if the standard deviation is not finite
-    std = np.where(np.isfinite(robot.theta_std_), robot.theta_std_, np.nan)
-    half = HALF_WIDTH * std
-    ends = np.column_stack([robot.theta_ - half, robot.theta_ + half]).tolist()
-    return tuple(
-        Fact(
-            kind="parameter",
-            name=name,
-            # The longest match, since names may contain colons.
-            joint=max(
-                (j for j, x in enumerate(joints) if name.startswith(f"{x}:")),
-                key=lambda j: len(joints[j]),
-                default=None,
-            ),
-            value=value,
-            interval=tuple(interval),
-            unit=unit,
-            source=source,
-            described=described,
-        )
-        for name, value, interval, unit, source, described in zip(
-            robot.parameter_names_,
-            robot.theta_.tolist(),
-            ends,
-            robot.parameter_units_,
-            robot.robot_.known_,
-            nominal.tolist(),
-        )
+    half = HALF_WIDTH * np.where(
+        np.isfinite(robot.theta_std_), robot.theta_std_, np.nan
     )
+    # The longest match, since names may contain colons.
+    owners = ([j for j, x in enumerate(joints) if n.startswith(f"{x}:")] for n in names)
+    columns = {
+        "name": names,
+        "joint": [max(x, key=lambda j: len(joints[j]), default=None) for x in owners],
+        "value": theta.tolist(),
+        "interval": zip((theta - half).tolist(), (theta + half).tolist()),
+        "unit": robot.parameter_units_,
+        "source": robot.robot_.known_,
+        "described": nominal.tolist(),
+    }
+    rows = (dict(zip(columns, row)) for row in zip(*columns.values()))
+    return tuple(Fact(kind="parameter", **row) for row in rows)
 
 
 def _masses(robot, parameters):
@@ -308,13 +295,7 @@ def _masses(robot, parameters):
 
 def _expected(expectation, names):
     """Yield the expected errors of a next recording with the same motion."""
+    about = {"kind": "next recording", "source": expectation.source}
     joints = [*enumerate(names), (None, "mean of the joints")]
-    for (joint, name), (error, low, high) in zip(joints, expectation.of().T.tolist()):
-        yield Fact(
-            kind="next recording",
-            name=name,
-            joint=joint,
-            value=error,
-            interval=(low, high),
-            source=expectation.source,
-        )
+    for (joint, name), (error, *ends) in zip(joints, expectation.of().T.tolist()):
+        yield Fact(name=name, joint=joint, value=error, interval=tuple(ends), **about)

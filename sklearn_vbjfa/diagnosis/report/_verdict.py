@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR, NO_INFORMATION, WORSE
+from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR, NO_INFORMATION, WORSE, rises
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import TorqueGain
 
@@ -68,6 +68,7 @@ class Verdict:
     uses: tuple[Use, ...]
     faults: tuple = ()  # messages on faulty channels
     fell: bool = True  # whether effects lowered the mean error
+    rose: tuple = ()  # joints on which they raised the error, also by chance
 
     def having(self, *status):
         """Return the joints of a status, a list."""
@@ -88,15 +89,25 @@ def judge(outcome):
         for channel in findings["channels"]
         if channel.severity == "warning" and channel.kind not in NO_INFORMATION
     )
-    status, errors = _status(outcome, joints, faults), _mean_errors(outcome)
+    columns = {x: outcome.column(x) for x in ("before", "plain", "after", "floor")}
+    used = np.isfinite(columns["before"] + columns["after"]) & outcome.column("enough")
+    errors = {
+        k: x[used].mean().item() if used.any() else np.nan for k, x in columns.items()
+    }
+    before, plain, after, floor = columns.values()
+    # No increase is tolerated on joints with effects.
+    factor = np.full(len(joints), WORSE)
+    factor[[*_joints_with(outcome, "effects", "possible")]] = 1.0
+    rose = np.flatnonzero(rises(after, np.fmin(before, plain), floor, factor)).tolist()
     fell = errors["after"] < min(errors["before"], errors["plain"])
     return Verdict(
-        status=status,
+        status=_status(outcome, joints, faults),
         joints=joints,
         errors=errors,
-        uses=_uses(outcome, status, joints),
+        uses=_uses(outcome, faults, joints, rose),
         faults=faults,
         fell=not findings["effects"] or fell,
+        rose=tuple(rose),
     )
 
 
@@ -138,15 +149,7 @@ def _is_worse(joint, error, difference):
     low = joint.intervals[difference][0]
     # Without an interval, the errors alone are compared.
     significant = not np.isfinite(low) or low > 0
-    return significant and _rose(joint, error)
-
-
-def _rose(joint, name, factor=WORSE):
-    """Whether the error of a joint is larger than with another model."""
-    # Joints at their noise floor are never worse, unlike those of unknown floor (nan).
-    return (
-        joint.after > factor * getattr(joint, name) and not joint.after <= joint.floor
-    )
+    return significant and rises(joint.after, getattr(joint, error), joint.floor)
 
 
 def _status(outcome, joints, faults):
@@ -163,27 +166,10 @@ def _status(outcome, joints, faults):
     return "nothing" if nothing else "complete"
 
 
-def _mean_errors(outcome):
-    """Return the mean errors of the joints with enough motion, a dict."""
-    columns = {x: outcome.column(x) for x in ("before", "plain", "after", "floor")}
-    used = np.isfinite(columns["before"] + columns["after"]) & outcome.column("enough")
-    return {
-        name: float(values[used].mean()) if used.any() else np.nan
-        for name, values in columns.items()
-    }
-
-
-def _uses(outcome, status, joints):
+def _uses(outcome, faults, joints, rose):
     """Decide on the uses of an outcome, a tuple of `Use`; reasons are codes."""
-    overall = "faulty" if status == "faulty" else ""
+    overall = "faulty" if faults else ""
     overall = overall or ("contradiction" if outcome.findings["contradictions"] else "")
-    # No increase is tolerated on joints with effects.
-    strict = _joints_with(outcome, "effects", "possible")
-    rose = []
-    for joint in outcome.errors:
-        factor = 1.0 if joint.joint in strict else WORSE
-        if _rose(joint, "before", factor) or _rose(joint, "plain", factor):
-            rose.append(joint.joint)
     large = [joint.joint for joint in outcome.errors if joint.after > _LARGE]
     effects = (*outcome.findings["effects"], *outcome.findings["possible"])
     library = outcome.robot["library"]

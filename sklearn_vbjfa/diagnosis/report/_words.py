@@ -104,11 +104,11 @@ def number(value, digits=3):
     return f"{float(mantissa):g}e{int(exponent)}"
 
 
-def percent(value):
-    """Format a share in per cent, with one decimal."""
+def percent(value, digits=1):
+    """Format a share in per cent, with one decimal if it is below 100 %."""
     if value is None or not math.isfinite(value):
         return "?"
-    return f"{100 * value:.0f} %" if abs(value) >= 0.9995 else f"{100 * value:.1f} %"
+    return f"{100 * value:.{digits * (abs(value) < 0.9995)}f} %"
 
 
 def bare_percent(value):
@@ -116,9 +116,7 @@ def bare_percent(value):
     return "-" if value is None or not math.isfinite(value) else f"{100 * value:.1f}"
 
 
-def whole_percent(value):
-    """Format a share in whole per cent."""
-    return "?" if value is None or not math.isfinite(value) else f"{100 * value:.0f} %"
+whole_percent = functools.partial(percent, digits=0)
 
 
 def p_text(value):
@@ -167,17 +165,20 @@ def with_error(value, interval=None, unit=""):
 
 def parameter_text(effect):
     """Return "Fc = 1.2 +- 0.1 N m" for each scalar parameter."""
-    texts = []
+    texts, determined = [], effect.is_determined
+    intervals = effect.intervals if determined else effect.intervals_given_shape
     for key, value in effect.parameters.items():
         if key in ("of", "other", "signal") or isinstance(value, tuple):
             continue
-        interval = effect.intervals.get(key)
         # Ratios are written without a unit.
         unit = effect.units.get(key, "")
         unit = "" if unit == "1" else unit
-        texts.append(f"{key} = {with_error(value, interval, unit)}")
+        text = f"{key} = {with_error(value, intervals.get(key), unit)}"
+        texts.append(text if value == value else f"{key} not identifiable")
     if effect.effect is not None and effect.effect.constant:
         texts.append("torque offset included")
+    if not determined:
+        texts.append("its form is not determined (intervals for this form)")
     return texts
 
 

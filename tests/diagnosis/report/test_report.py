@@ -58,7 +58,7 @@ STATUS = {
         "after": 2 * FLOOR,
         "intervals": {"after": np.array([1.9 * FLOOR, 2.1 * FLOOR])},
     },
-    "worse": {"before": 0.5 * FLOOR, "intervals": {}},
+    "worse": {"before": FLOOR, "after": 1.2 * FLOOR, "intervals": {}},
     "failed": {"after": np.full(6, 1.0)},
     "no data": {"before": UNKNOWN, "after": UNKNOWN},
     "unsearched": {"n_effects": 0, "searched": np.zeros(6, dtype=bool)},
@@ -182,10 +182,11 @@ def test_terminal_text_is_truncated_and_the_page_is_complete():
 def test_effects_of_undetermined_form_are_marked():
     (effect,) = make_outcome(nv=3, n_effects=1).findings["effects"]
     keywords = {"parameters": {"A": 0.8}, "units": {"A": "N m"}, "name": "ripple"}
+    keywords["intervals_given_shape"] = {"A": (0.7, 0.9)}
     for low, expected in ((0.2, False), (-0.2, True)):
         one = replace(effect, **keywords, intervals={"A": (low, 1.4)})
         text = line_of(Report(make_outcome(effects=(one,))))
-        assert ("its form is not determined" in text) == expected
+        assert ("A = 0.80 +- 0.10 N m, its form is not" in text) == expected
 
 
 def test_a_wrong_gain_of_a_control_law_forbids_its_use():
@@ -259,8 +260,10 @@ def test_possible_effects_prevent_the_verdict_nothing_is_missing():
     # Errors of the models with and without the effect.
     for error in (after, 3 * after):
         assert words.percent(error.mean()) in report.verdict
-    worse = Report(changed(outcome, before=0.5 * after, intervals={}))
-    assert worse.status == "worse"
+    half = {"before": 0.5 * after, "intervals": {}}
+    assert Report(changed(outcome, **half, floor=0.5 * after)).status == "worse"
+    # Not above the noise floor by more than smoothing explains.
+    assert Report(changed(outcome, **half)).status == "nothing"
 
 
 # -- custom effects

@@ -59,10 +59,17 @@ class DiscoveredEffect:
 
     @property
     def is_determined(self):
-        """Whether the interval of a force, torque or stiffness, if any, omits zero."""
+        """Whether a size, if it is known for a given shape, is known without it."""
         # Correlated size and shape parameters do not put the torque itself in question.
-        ends = [x for k, x in self.intervals.items() if "N" in self.units.get(k, "")]
-        return not ends or any(low > 0 or high < 0 for low, high in ends)
+        both = self.intervals, self.intervals_given_shape
+        pairs = ([ends[k] for k in _sizes(self.units) & ends.keys()] for ends in both)
+        known, given_shape = (any(low * high > 0 for low, high in x) for x in pairs)
+        return known or not given_shape
+
+
+def _sizes(units):
+    """Return the names of forces, stiffnesses, masses and inertias, a set."""
+    return {name for name, unit in units.items() if "N" in unit or "kg" in unit}
 
 
 def discovered_effects(search, final, names, prismatic, contradicting, rising, hidden):
@@ -80,6 +87,7 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising, h
         deviations = {key: std for key, std in deviations.items() if std > 0}
         half = float(special.stdtrit(estimate.freedom, 0.95))
         given_shape = named_values(effect, estimate.given_shape())
+        units = effect.parameter_units(prismatic[effect.joint])
         warning = finding.warning
         if not warning and isinstance(effect, InModel):
             nominal = dict(zip(effect.coefficients, effect.nominal))
@@ -88,12 +96,17 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising, h
             warning = "" if any(departs) else _UNSURE
         elif not warning:
             # The magnitude of a channel effect is a shape parameter.
-            size = estimate if isinstance(effect, OfChannel) else estimate.given_shape()
-            warning = "" if _is_significant(effect, size, half) else _UNKNOWN
+            own_shape = isinstance(effect, OfChannel)
+            size, std = (values, deviations) if own_shape else given_shape
+            known = {key for key in std if std[key] > 0}
+            # Other shapes, and the phase of a size, do not show that the effect exists.
+            tested = known & _sizes(units) or known - effect.shape().keys() or known
+            significant = any(abs(size[key]) > half * std[key] for key in tested)
+            exists = any(estimate.coef) and (significant or not tested)
+            warning = "" if exists else _UNKNOWN
         acted = effect.acts_on(len(names))
         warning = warning or _DIFFERING * (not contradicting.isdisjoint(acted))
         warning = warning or _RISING * bool(rising[acted].sum() > 0)
-        units = effect.parameter_units(prismatic[effect.joint])
         rivals = (*finding.rivals, *_containing(effect, finding, search, hidden))
         yield DiscoveredEffect(
             name=effect.name,
@@ -146,16 +159,6 @@ def _rival_name(rival, effect, names):
     if rival.joint == effect.joint or isinstance(rival, OfRobot):
         return name
     return f"{name} on {names[rival.joint]}"
-
-
-def _is_significant(effect, estimate, half):
-    """Whether a parameter is at least `half` standard deviations from zero."""
-    # Shape parameters alone do not show that the effect exists.
-    values, deviations = named_values(effect, estimate)
-    known = [key for key, std in deviations.items() if std > 0]
-    tested = [key for key in known if key not in effect.shape()] or known
-    significant = any(abs(values[key]) > half * deviations[key] for key in tested)
-    return any(estimate.coef) and (significant or not tested)
 
 
 def named_values(effect, estimate):

@@ -171,8 +171,7 @@ def parameter_text(effect):
         if key in ("of", "other", "signal") or isinstance(value, tuple):
             continue
         # Ratios are written without a unit.
-        unit = effect.units.get(key, "")
-        unit = "" if unit == "1" else unit
+        unit = effect.units.get(key, "").removeprefix("1")
         text = f"{key} = {with_error(value, intervals.get(key), unit)}"
         texts.append(text if value == value else f"{key} not identifiable")
     if effect.effect is not None and effect.effect.constant:

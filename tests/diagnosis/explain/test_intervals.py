@@ -73,8 +73,7 @@ def test_coverage_of_error_intervals(seconds, rho, share):
 
 
 def test_coverage_of_error_difference_intervals():
-    rng = np.random.default_rng(1)
-    inside = []
+    rng, inside = np.random.default_rng(1), []
 
     def fits(seconds):
         before = residuals(rng, seconds, size=1.0, rho=0.5)
@@ -175,17 +174,12 @@ def test_half_widths_match_least_squares():
 
 
 def test_undefined_variances_affect_dependent_parameters_only():
-    """An undefined variance affects only the parameters that depend on it."""
     covariance = np.array([[4.0, np.nan], [np.nan, np.nan]])
-    estimate = EffectEstimate(
-        coef=np.array([2.0, 1.0]), shape=(), covariance=covariance, freedom=20.0
-    )
+    keywords = {"coef": np.array([2.0, 1.0]), "shape": (), "freedom": 20.0}
+    estimate = EffectEstimate(**keywords, covariance=covariance)
     values, stds = named_values(AsymmetricFriction(0), estimate)
-    # The parameters of this effect are its coefficients.
     assert list(values.values()) == [2.0, 1.0]
-    first, second = stds.values()
-    assert first == pytest.approx(2.0)
-    assert np.isnan(second)
+    assert_allclose([*stds.values()], [2.0, np.nan])
 
 
 def test_slow_residuals_widen_the_intervals():
@@ -193,8 +187,7 @@ def test_slow_residuals_widen_the_intervals():
     for rho in (0.0, 0.9):
         model, states, tau, _ = pendulum(3, rho)
         (effect,) = loop_on(model, states, tau).effects_
-        low, high = effect.intervals["k"]
-        widths[rho] = high - low
+        widths[rho] = np.ptp(effect.intervals["k"])
     # A slow regressor would give sqrt(19).
     assert 1.5 < widths[0.9] / widths[0.0] < 5.0
 
@@ -307,11 +300,11 @@ def test_a_fixed_shape_narrows_coefficient_intervals(identifiable):
     assert_allclose(stds["Fs"], expected, rtol=1e-6)
 
 
-def discovered(effect, rising=0.0, hidden=(), library=()):
-    """Discover an effect with one coefficient, of standard deviation 0.1."""
+def discovered(effect, rising=0.0, hidden=(), library=(), coef=(0.5,)):
+    """Discover an effect whose parameters have a standard deviation of 0.1."""
     shape = getattr(effect, "continuous", ())
-    keywords = {"covariance": 0.01 * np.eye(1 + len(shape)), "freedom": 30.0}
-    estimate = EffectEstimate(coef=np.array([0.5]), shape=shape, **keywords)
+    keywords = {"covariance": 0.01 * np.eye(len(coef) + len(shape)), "freedom": 30.0}
+    estimate = EffectEstimate(coef=np.array(coef), shape=shape, **keywords)
     found = SimpleNamespace(warning="", rivals=(), evidence=None)
     search = SimpleNamespace(findings=[found], library=library)
     final = SimpleNamespace(effects=[effect], effect_estimates=[estimate])
@@ -334,3 +327,10 @@ def test_an_unexcited_effect_that_contains_another_is_its_rival():
     for some in ((), (hidden,)):
         effect = discovered(effects.LoadFriction(), 0.0, some, [effects.GearLoss()])
         assert effect.rivals == ("gear_loss",) * len(some)
+
+
+def test_the_phase_of_an_amplitude_does_not_show_that_it_exists():
+    for amplitude in (-0.1, -1.0):
+        effect = discovered(effects.Ripple(), coef=(amplitude, 0.1 * amplitude))
+        assert effect.intervals["phase"][1] < 0.0
+        assert bool(effect.warning) == (amplitude == -0.1)

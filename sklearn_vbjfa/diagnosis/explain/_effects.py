@@ -11,8 +11,8 @@ from sklearn_vbjfa.diagnosis.search._posterior import Evidence
 from sklearn_vbjfa.effects import InModel, OfChannel, OfRobot, Shaped, closure
 
 # Warnings on effects whose values are too uncertain for them to be reported.
-_UNKNOWN = "no parameter of it is known from zero"
-# Relative rounding error of a parameter, and largest logarithm of a half-width.
+_UNKNOWN = "its size is not significantly different from zero"
+# Rounding error of a parameter (relative, or of zero), largest logarithm of a width.
 _ROUNDING, _MAX_LOG = 1e-10, 99.0
 _UNSURE = "its value is not known well enough to correct anything"
 _DIFFERING = "the recordings contradict each other on this joint"
@@ -30,7 +30,7 @@ class DiscoveredEffect:
     name: str  # of its class, in the library or custom
     joint: int  # from zero
     joint_name: str
-    parameters: dict  # coefficients and shape parameters; nan if not identifiable
+    parameters: dict  # coefficients (nan if not excited), shape parameters
     units: dict
     # 90 %: Student's t, from the variance between blocks of time; none for shape
     # parameters that were not tuned, parameters that are not excited, and instants
@@ -82,8 +82,8 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising, h
         search.findings, final.effects, final.effect_estimates
     ):
         values, deviations = named_values(effect, estimate)
-        unknown = {key for key, std in deviations.items() if math.isnan(std)}
-        values |= dict.fromkeys(unknown - effect.shape().keys(), math.nan)
+        unknown = [key for key, std in deviations.items() if math.isnan(std)]
+        values |= {k: math.nan for k in unknown if abs(values[k]) < _ROUNDING}
         deviations = {key: std for key, std in deviations.items() if std > 0}
         half = float(special.stdtrit(estimate.freedom, 0.95))
         given_shape = named_values(effect, estimate.given_shape())

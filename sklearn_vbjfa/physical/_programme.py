@@ -33,7 +33,7 @@ _ANCHOR_WEIGHT = 1e-10
 
 @dataclass(frozen=True, kw_only=True)
 class PrimalDual:
-    """A vector with multipliers of its constraints, or a step from one to another."""
+    """A vector with multipliers of its constraints."""
 
     vector: np.ndarray  # (n_features,): vector in scaled units
     duals: np.ndarray  # (n_bodies, n, n): multipliers of the bodies' matrices
@@ -44,14 +44,6 @@ class PrimalDual:
         """Whether all values are finite."""
         parts = self.vector, self.duals, self.multipliers
         return all(np.isfinite(part).all() for part in parts)
-
-    def moved(self, step, share):
-        """Return the point a share of a step away."""
-        return PrimalDual(
-            vector=self.vector + share * step.vector,
-            duals=self.duals + share * step.duals,
-            multipliers=self.multipliers + share * step.multipliers,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,11 +129,6 @@ class Programme:
         """Matrices of the ten unit bodies, shape (10, n, n), n = 4 or 6."""
         return constraint_matrix(np.eye(N_INERTIAL), self.constraint)
 
-    @cached_property
-    def gram(self):
-        """T'T, shape (n_features, n_features)."""
-        return self.root.T @ self.root
-
     def residual(self, vector):
         """T (vector - point) - c, shape (n_features,)."""
         return self.root @ (vector - self.point) - self.shift
@@ -171,7 +158,7 @@ class Programme:
         return vector
 
     def clip(self, floor):
-        """Return the point with eigenvalues raised to `floor`, a start of a path."""
+        """Return the point with eigenvalues raised to `floor`."""
         vector = self.point.copy()
         J = constraint_matrix(vector[self.body_columns], "pseudo-inertia")
         vector[self.body_columns] = inertial_parameters(raised(J, floor))

@@ -1,13 +1,14 @@
 """Solve the projection's programme with a conic solver, and certify the solution.
 
 clarabel solves the programme, and the duality gap certifies the result. The programme
-is stated with the displacement d from the vector to project, in units of a distance s:
+is stated with y = T (x - x_0) / s, where x_0 is the vector to project and s a distance:
 
-    min_(d, t) t  such that  (t, T d - c / s) in SOC,
-    (M_j(x_0) - eps E) / s + M_j(d) >= 0,  x_0k / s + d_k >= 0.
+    min_(y, t) t  such that  (t, y - c / s) in SOC,
+    (M_j(x_0) - eps E) / s + M_j(T^-1 y) >= 0,  x_0k / s + (T^-1 y)_k >= 0.
 
 As a second-order cone the distance keeps the condition number of T, which its square,
-the quadratic form T' T, would square.
+the quadratic form T' T, would square. With displacements in place of y the solver's
+regularisation would hide directions of small metric.
 """
 
 from dataclasses import dataclass, replace
@@ -23,8 +24,7 @@ from sklearn_vbjfa.physical._programme import PrimalDual
 GAP_TARGET, _GAP_LIMIT = 1e-6, 1e-4
 # Solutions, each in units of the distance of the previous one, until the target is met.
 _SOLUTIONS = 2
-# Tolerances of clarabel, its largest number of iterations, and its regularisation, in
-# whose default parameters of small metric would disappear.
+# Tolerances of clarabel, its largest number of iterations, and its regularisation.
 _TOLERANCE, _MAX_STEPS, _REGULARISATION = 1e-11, 200, 1e-12
 # Share of the bodies from which all constraints are used at once.
 _MOST = 0.5
@@ -103,10 +103,12 @@ def solve_conic(programme, unit):
     weight = np.where(row == column, 1.0, np.sqrt(2.0))
     entries = weight * programme.generators[:, row, column]
     at_point = weight * programme.slack(programme.point)[:, row, column]
-    # Rows of s = b - A (d, t): the distance, then every body, then the columns kept.
-    distance = -np.vstack([np.eye(n + 1)[n], np.c_[programme.root, np.zeros(n)]])
-    matrices = np.zeros((n_bodies, len(row), n + 1))
-    matrices[np.arange(n_bodies)[:, None], :, bodies] = -entries
+    # x = x_0 + s W y
+    W = solve_triangular(programme.root, np.eye(n))
+    change = np.c_[W, np.zeros(n)]
+    # Rows of s = b - A (y, t): the distance, then every body, then the columns kept.
+    matrices = np.einsum("ke,bkn->ben", entries, change[bodies])
+    rows = np.vstack([np.eye(n + 1)[n], np.eye(n, n + 1), matrices.reshape(-1, n + 1)])
     cones = [clarabel.SecondOrderConeT(n + 1)]
     cones += [clarabel.PSDTriangleConeT(size)] * n_bodies
     cones += [clarabel.NonnegativeConeT(kept.size)] if kept.size else []
@@ -120,9 +122,7 @@ def solve_conic(programme, unit):
     solution = clarabel.DefaultSolver(
         sparse.csc_matrix((n + 1, n + 1)),
         np.eye(n + 1)[n],
-        sparse.csc_matrix(
-            np.vstack([distance, matrices.reshape(-1, n + 1), -np.eye(n + 1)[kept]])
-        ),
+        sparse.csc_matrix(-np.vstack([rows, change[kept]])),
         np.r_[
             0.0,
             -programme.shift / unit,
@@ -140,7 +140,7 @@ def solve_conic(programme, unit):
     duals = np.zeros((n_bodies, size, size))
     duals[:, row, column] = duals[:, column, row] = stacked
     answer = PrimalDual(
-        vector=programme.point + unit * np.array(solution.x[:n]),
+        vector=programme.point + unit * (W @ solution.x[:n]),
         duals=duals,
         multipliers=z[stacked.size :],
     )

@@ -21,6 +21,8 @@ DESCRIBED = 0.2
 _NOT_LEARNED = 0.7
 # Bodies within this log evidence [nats] of the most probable departure are its rivals.
 RIVALS = 3.0
+# Prior probability that the description of a body is worse than none.
+_WRONG = 0.01
 # Grid of scales for integration (at 1 a body may become inconsistent), and minimum
 # precision of a site relative to the usual one.
 SCALES, _MIN_PRECISION = np.geomspace(1e-4, 1.0, 81), 1e-4
@@ -493,7 +495,7 @@ def _loosen(problem, sites):
         gains = np.subtract(*(logsumexp(x, axis=1) for x in pair))
         gains *= ~unknown & [x.scale > _UNKNOWN_SCALE for x in sites]
         best = gains.max()
-        if best <= RIVALS:
+        if best <= RIVALS - np.log(_WRONG):
             return problem, sites, found, unknown
         # Its rivals are unknown, too.
         order = np.argsort(-gains, kind="stable")

@@ -131,8 +131,9 @@ def measured():
     better, little = sum(r < 0.9 for r in ratios), sum(r > 0.99 for r in ratios)
     verdict = (
         f"On {better} of {len(ratios)} measured robots the effects reduce the held-out "
-        f"error by more than a tenth relative to the four terms, on {little} by less "
-        f"than 1 %; the median ratio of the errors is {median(ratios):.2f}."
+        f"error by more than a tenth relative to the four terms; on {little} it falls "
+        "by less than 1 % or rises. The median ratio of the errors is "
+        f"{median(ratios):.2f}."
     )
     table = developed.table(columns=columns, rows=sets[0])
     table += "\n" + "\n".join(
@@ -384,6 +385,7 @@ def geometry():
     found = data.column("all named", rows=["tilt", "zero", "axis", "gain"])
     faults = {"tilt": "tilt", "zero": "encoder zero", "axis": "axis", "gain": "gain"}
     in_interval = data.column("in their interval", 2, rows=list(faults))
+    cases = data.column("cases", rows=list(faults))
     worst = min(in_interval, key=in_interval.get)
     least = min(found.values())
     share = "all" if least == 100 else f"at least {least:.0f} % of the"
@@ -393,8 +395,9 @@ def geometry():
         f"found in {share} cases."
     )
     limitation = (
-        f"Ten cases per fault are few, and 90 % intervals of the {faults[worst]} "
-        f"contain the true value in {in_interval[worst]:.0f} % of the cases."
+        f"There are {min(cases.values()):.0f} cases per fault, and 90 % intervals of "
+        f"the {faults[worst]} contain the true value in {in_interval[worst]:.0f} % of "
+        "them."
     )
     question = "Are wrong geometry and wrong channels found?"
     return question, verdict, data, data.table(columns=columns, names=names), limitation

@@ -112,28 +112,41 @@ def fft_length(longest, dt):
 def acceleration_power(x, dt, n_fft):
     """Power of the second differences of one recording, to be summed over several."""
     # x (n, k). Returns squared amplitudes (n_fft // 2 + 1, k), zero for a recording
-    # that is too short, and the energy of the taper, by which to divide them.
+    # that is too short, `_staircase` (k,), and the energy of the taper, by which to
+    # divide both.
     n, window = x.shape[0], _window(dt)
     if n < MIN_SPECTRUM:
-        return np.zeros((n_fft // 2 + 1, x.shape[1])), 0.0
+        return np.zeros((n_fft // 2 + 1, x.shape[1])), 0.0, 0.0
     if n > window:
         count = min(-(-n // window), _MOST_WINDOWS)
         starts = np.linspace(0, n - window, count).astype(int)
-        parts = [acceleration_power(x[i : i + window], dt, n_fft) for i in starts]
-        return sum(power for power, _ in parts), sum(energy for _, energy in parts)
+        parts = (acceleration_power(x[i : i + window], dt, n_fft) for i in starts)
+        return tuple(map(sum, zip(*parts)))
     # Second differences reduce the enormous dynamic range between slow motion and
     # noise, which would leak through any taper.
     d = np.ascontiguousarray(np.diff(x, 2, axis=0).T) / dt**2
     d -= d.mean(axis=1, keepdims=True)
     taper = np.hanning(d.shape[1] + 2)[1:-1]
     power = np.abs(np.fft.rfft(d * taper, n_fft)) ** 2
-    return power.T, float(taper @ taper)
+    weight = np.pad(taper**2, 1)
+    held = np.array([_staircase(column, weight) for column in x.T])
+    return power.T, held, float(weight.sum())
+
+
+def _staircase(x, weight):
+    """Weighted square error of samples (n,) that hold a value and then jump."""
+    # Coarse encoders and held samples: about a straight line, the error of each run of
+    # equal samples is uniformly distributed. A standstill ends in a small jump.
+    change = np.flatnonzero(np.diff(x))
+    run, inverse = np.diff(change), 1 / np.abs(x[change + 1] - x[change])
+    square = (2 / (inverse[1:] + inverse[:-1])) ** 2 / 12
+    return square * (1 - 1 / run**2) @ np.diff(np.cumsum(weight)[change])
 
 
 def acceleration_spectra(segments, dt):
     """Frequencies (m,) [Hz] and power (m, k) of all segments' second differences."""
     # The third result (m,) is the power that white noise of variance 1 would have
-    # there.
+    # there, the fourth (k,) the error of staircases.
     longest = max((x.shape[0] for x in segments), default=0)
     if longest < MIN_SPECTRUM:
         raise ValueError(
@@ -141,18 +154,15 @@ def acceleration_spectra(segments, dt):
             f"{MIN_SPECTRUM} samples, got {longest}: check groups, or give a cutoff."
         )
     n_fft = fft_length(longest, dt)
-    power, energy = 0.0, 0.0
-    for x in segments:
-        part = acceleration_power(np.asarray(x), dt, n_fft)
-        power, energy = power + part[0], energy + part[1]
-    return spectrum(power, energy, n_fft, dt)
+    parts = [acceleration_power(np.asarray(x), dt, n_fft) for x in segments]
+    return spectrum(*map(sum, zip(*parts)), n_fft, dt)
 
 
-def spectrum(power, energy, n_fft, dt):
-    """Frequencies, power and noise gain from sums of `acceleration_power`."""
+def spectrum(power, held, energy, n_fft, dt):
+    """Results of `acceleration_spectra` from sums of `acceleration_power`."""
     frequency = np.fft.rfftfreq(n_fft, dt)
     noise_gain = (2 * np.sin(np.pi * frequency * dt)) ** 4 / dt**4
-    return frequency[1:], power[1:] / energy, noise_gain[1:]
+    return frequency[1:], power[1:] / energy, noise_gain[1:], held / energy
 
 
 # Neighbouring ordinates averaged before the median, and the equivalent number of
@@ -180,7 +190,7 @@ def white_noise_variance(frequency, power, noise_gain):
 _STANDS_OUT = 8.0
 
 
-def choose_cutoff(frequency, power, noise_gain, dt):
+def choose_cutoff(frequency, power, noise_gain, held, dt):
     """Cut-off [Hz] that minimises the estimated error of the second derivative."""
     # With gain G the expected squared error at a frequency is (1 - G)^2 times the
     # signal power plus G^2 times the noise power; the signal power is the measured one
@@ -192,6 +202,12 @@ def choose_cutoff(frequency, power, noise_gain, dt):
     # Acceleration noise grows with the fourth power of frequency: a tenth of it counted
     # as signal would exceed the motion.
     signal = np.where(power > _STANDS_OUT * noise, power - noise, 0.0)
+    # The error of a staircase has lines, which are no motion: those of the highest
+    # frequencies, up to its variance (accurate to 0.1 %) less the white part.
+    share = signal / noise_gain[:, None]
+    share[-1] /= 2  # of the Nyquist frequency, the only one without a negative one
+    beyond = np.cumsum(share[::-1], axis=0)[::-1]
+    signal[beyond < (1.01 * held - variance) * frequency.size] = 0.0
     candidates = np.geomspace(max(frequency[0], 1e-3 / dt), 1.0 / (3 * dt), 120)
     risks = np.empty((candidates.size, power.shape[1]))
     for i, cutoff in enumerate(candidates):

@@ -129,8 +129,8 @@ def _identify(identifier, paths):
     read = partial(read, lag=sum(effect.lag for effect in late))
     longest = max(lengths)
     n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM), dt)
-    power, energy = map(sum, zip(*reduce_files("spectra", _spectra, dt, n_fft)))
-    spectra = _smoothing.spectrum(power, energy, n_fft, dt) if energy else None
+    sums = [sum(x) for x in zip(*reduce_files("spectra", _spectra, dt, n_fft))]
+    spectra = _smoothing.spectrum(*sums, n_fft, dt) if sums[-1] else None
     cutoff = identifier.fit_options.state_cutoff
     estimator = choose_states(dt, cutoff, longest, np.any(moving, axis=0), spectra)
     keep = n_fastest(sum(lengths))
@@ -219,8 +219,7 @@ def _spectra(recording, path, dt, n_fft):
         _smoothing.acceleration_power(recording.q[part], dt, n_fft)
         for part in recording.segments
     ]
-    power, energy = zip(*powers)
-    return sum(power), sum(energy)
+    return tuple(map(sum, zip(*powers)))
 
 
 def _motion(recording, path, estimator, keep):

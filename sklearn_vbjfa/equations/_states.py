@@ -150,14 +150,14 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return self
 
     def _analyse(self, moving, spectra, dt):
-        frequency, power, noise_gain = spectra
+        frequency, power, noise_gain, held = spectra
         nv = moving.size
         self.noise_variance_, self.bandwidth_ = np.zeros((2, nv))
         cutoff = np.full(nv, np.inf)
         if not moving.any():
             return cutoff
         cutoff[moving], self.noise_variance_[moving] = _smoothing.choose_cutoff(
-            frequency, power[:, moving], noise_gain, dt
+            frequency, power[:, moving], noise_gain, held[moving], dt
         )
         for j in np.flatnonzero(moving):
             self.bandwidth_[j] = _smoothing.velocity_bandwidth(

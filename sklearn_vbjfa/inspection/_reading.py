@@ -190,10 +190,9 @@ def _cutoffs(q, dt, parts):
     # A joint at rest has only noise.
     fast = np.ptp(q, axis=0) > 1e-3 * np.ptp(q)
     moving = q[:, fast] if fast.any() else q
-    frequency, power, gain = _smoothing.acceleration_spectra(
-        [moving[part] for part in parts], dt
-    )
-    top, noise = _smoothing.choose_cutoff(frequency, power, gain, dt)
+    spectra = _smoothing.acceleration_spectra([moving[part] for part in parts], dt)
+    top, noise = _smoothing.choose_cutoff(*spectra, dt)
+    frequency, power, gain, _ = spectra
     bandwidth = max(
         _smoothing.velocity_bandwidth(frequency, x, gain, variance, most, 0.9)
         for x, variance, most in zip(power.T, noise, top)

@@ -202,13 +202,8 @@ class CorrelatedProblem:
         shape = self.ard_shape + 0.5 * self.shared  # [C10]
         m = self.moments
         mean, cov, logdet = self._posterior(m.S, m.xy, s2, alpha)
-        state = CorrelatedState(
-            beta_mean=mean,
-            beta_cov=cov,
-            alpha_shape=shape,
-            alpha_rate=shape / alpha,
-            psi_y=s2,
-        )
+        prior = {"alpha_shape": shape, "alpha_rate": shape / alpha, "psi_y": s2}
+        state = CorrelatedState(beta_mean=mean, beta_cov=cov, **prior)
         return self.evaluate(state, logdet, self._spread(cov, alpha))
 
     def _posterior(self, S_tt, S_ty, s2, alpha):

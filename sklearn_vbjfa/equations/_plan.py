@@ -49,7 +49,7 @@ _TOP_QUANTILE = 0.995
 CUTOFF_PER_BANDWIDTH = 5.0
 # Lower limits of the cut-off [Hz], and in units of the sampling rate: few robots
 # vibrate below it, and friction of slow motion with reversals would be lost.
-_LOWEST_CUTOFF, _LOWEST_SHARE = 5.0, 0.3
+_LOWEST_CUTOFF, _LOWEST_SHARE = 5.0, 0.25
 # Fewest periods of the cut-off in the longest recording, as the filter must be short.
 SHORTEST_CUTOFF_PERIODS = 36.0
 # Share of the states' cut-off up to which their smoother, whose gain falls with the
@@ -240,16 +240,13 @@ def needs_load(effects):
 def parameter_names(features, effects):
     """Names and units of the parameters of a robot, two tuples of str."""
     joints, kinds = joint_names(features.model_), is_prismatic(features.model_)
-    names, units = [], []
+    names, units = list(features.parameter_names_), list(features.parameter_units_)
     for effect in effects:
         kind = int(kinds[effect.joint])
         prefix = effect.prefix(joints[effect.joint])
         names += [f"{prefix}:{c}" for c in effect.coefficients]
         units += [unit[kind] for unit in effect.units]
-    return (
-        features.parameter_names_ + tuple(names),
-        features.parameter_units_ + tuple(units),
-    )
+    return tuple(names), tuple(units)
 
 
 def effect_indices(effects, first):
@@ -292,14 +289,8 @@ class MotionFacts:
         joints = in_parallel(_speeds, ((v, keep) for v in velocities.T), n_jobs)
         fastest, slow = map(np.transpose, zip(*joints))
         lowest, highest = positions.min(axis=0), positions.max(axis=0)
-        return cls(
-            n=positions.shape[0],
-            lowest=lowest,
-            highest=highest,
-            travel=highest - lowest,
-            fastest=fastest,
-            slow=slow,
-        )
+        ranges = {"lowest": lowest, "highest": highest, "travel": highest - lowest}
+        return cls(n=positions.shape[0], fastest=fastest, slow=slow, **ranges)
 
     def merge(self, other, keep):
         return MotionFacts(

@@ -23,6 +23,9 @@ _ORDER = 5
 _MEDIAN, _MEDIAN_SPREAD = 0.6745, 2.33
 # Dependent differences of white noise that are worth one independent sample.
 _DEPENDENCE = 2.9
+# Variance of the differences of white noise of variance one; share of the residual from
+# which on the rounding of the torques explains it.
+_WHITE_SCALE, _ROUNDED = comb(2 * _ORDER, _ORDER), 0.5
 # Strides of the differences, and their lowest frequency relative to the cut-off: at
 # lower ones too many differences would contain a reversal.
 _STRIDES = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
@@ -72,7 +75,7 @@ def filtered_white_noise(deviation, nv, dt, cutoff):
     return noise * np.sqrt(taps @ taps)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class NoiseFacts:
     """Noise measurements from the torques of one recording."""
 
@@ -84,6 +87,7 @@ class NoiseFacts:
     gap: np.ndarray  # (nv, n_bands): power per row in the bands of the gap
     # (nv, n_waves): frequencies of position ripples [1/rad or 1/m], or zero
     waves: np.ndarray
+    rounding: np.ndarray  # (nv,): mean square of the filtered rounding errors
 
 
 def stopband_exists(dt, cutoff):
@@ -97,8 +101,7 @@ def noise_facts(residual, torque, states, dt, cutoff, n_jobs=None):
     n, nv = residual.shape
     columns = zip(residual.T, torque.T, states[:, :nv].T, states[:, nv : 2 * nv].T)
     facts = in_parallel(_joint_facts, ((*x, dt, cutoff) for x in columns), n_jobs)
-    hold, scales, gap, waves = map(np.array, zip(*facts))
-    return NoiseFacts(n=n, hold=hold, scales=scales, gap=gap, waves=waves)
+    return NoiseFacts(n, *map(np.array, zip(*facts)))
 
 
 def _joint_facts(residual, torque, q, v, dt, cutoff):
@@ -120,8 +123,23 @@ def _joint_facts(residual, torque, q, v, dt, cutoff):
             if d.size >= _SHORTEST:
                 scales[k] = (np.median(np.abs(d)) / _MEDIAN) ** 2
     remainder = _remove_friction(q, v, residual)
-    waves = _waves(q, residual, count, _lowpass.design(dt, cutoff).taps)
-    return count, scales, _gap_power(remainder, dt, cutoff), waves
+    taps = _lowpass.design(dt, cutoff).taps
+    rounding = _rounding_power(torque, torque - residual, scales[0], taps)
+    waves = _waves(q, residual, count, taps)
+    return count, scales, _gap_power(remainder, dt, cutoff), waves, rounding
+
+
+def _rounding_power(torque, predicted, scale, taps):
+    """Mean square of the filtered rounding error, simulated from predicted torques."""
+    # It is not white: slow torques cross the levels at times that the motion sets,
+    # unless noise blurs the crossings; scale: variance of its differences.
+    step = np.median(np.diff(np.unique(torque))) if np.ptp(torque) > 0 else 0.0
+    if not step > 0 or torque.size < taps.size:
+        return 0.0
+    white = np.sqrt(max(np.nan_to_num(scale) / _WHITE_SCALE - step**2 / 12, 0.0))
+    noisy = predicted + white * np.random.default_rng(0).normal(size=predicted.size)
+    error = torque[0] + step * np.round((noisy - torque[0]) / step) - predicted
+    return np.mean(scipy.signal.oaconvolve(error, taps, mode="valid") ** 2)
 
 
 def _waves(q, x, hold, taps):
@@ -222,7 +240,7 @@ def filtered_noise(facts, dt, cutoff, left=np.inf):
         strides = _strides(dt * hold, cutoff)
         if not strides or not used or waves[j].any():
             continue
-        rows = np.array([f.n for f in used], dtype=float)
+        rows = np.array([f.n for f in used])
         scales, scale_rows = _mean([f.scales[j, : len(strides)] for f in used], rows)
         gap, gap_rows = _mean([f.gap[j] for f in used], rows)
         measured = scales > 0
@@ -230,30 +248,27 @@ def filtered_noise(facts, dt, cutoff, left=np.inf):
             continue
         if hold not in families:
             families[hold] = _NoiseFamily.of(dt, hold, cutoff)
-        independent = scale_rows / (hold * _DEPENDENCE * np.array(strides))
-        scale_spread = np.hypot(
-            _MODEL_ERROR, _MEDIAN_SPREAD / np.sqrt(np.maximum(independent, 1.0))
-        )
+        count = np.maximum(scale_rows / (hold * _DEPENDENCE * np.array(strides)), 1.0)
+        scale_spread = np.hypot(_MODEL_ERROR, _MEDIAN_SPREAD / np.sqrt(count))
         # windows overlap by half
-        windows = 1.8 * gap_rows * dt * cutoff / _WINDOW
-        gap_spread = np.hypot(
-            _MODEL_ERROR, 1.25 / np.sqrt(np.maximum(windows, 1.0) * _gap_shape())
-        )
+        count = np.maximum(1.8 * gap_rows * dt * cutoff / _WINDOW, 1.0) * _gap_shape()
+        gap_spread = np.hypot(_MODEL_ERROR, 1.25 / np.sqrt(count))
         scales = np.where(measured, scales, np.nan)
         left_spread = np.hypot(_MODEL_ERROR, 1.0 / np.sqrt(rows.sum() * dt * cutoff))
         noise[j] = families[hold].deviation(
             scales, scale_spread, gap, gap_spread, 2 * np.log(left[j]), left_spread
         )
-    return np.minimum(noise, left)
+    rounding = np.sqrt(_mean([f.rounding for f in facts], [f.n for f in facts])[0])
+    explains = rounding > _ROUNDED * left
+    return np.minimum(np.fmax(noise, np.where(explains, rounding, np.nan)), left)
 
 
 def _mean(values, rows):
-    values = np.array(values)
+    values, rows = np.array(values), np.array(rows, dtype=float)
     weight = rows[:, None] * np.isfinite(values)
     total = weight.sum(axis=0)
     summed = (np.where(np.isfinite(values), values, 0.0) * weight).sum(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(total > 0, summed / total, np.nan), total
+    return summed / np.where(total > 0, total, np.nan), total
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,12 +287,8 @@ class _NoiseFamily:
     def of(cls, dt, hold, cutoff):
         step = dt * hold
         # cycles per held sample
-        nu = np.unique(
-            np.r_[
-                np.geomspace(1e-3 * cutoff * step, 0.5, 4000),
-                np.linspace(1e-4, 0.5, 6000),
-            ]
-        )
+        even = np.linspace(1e-4, 0.5, 6000)
+        nu = np.unique(np.r_[np.geomspace(1e-3 * cutoff * step, 0.5, 4000), even])
         corners = np.geomspace(0.05 * cutoff, 0.45 / step, 48)
         rho = np.exp(-2 * np.pi * corners * step)[:, None]
         one_pole = 1 / (1 + 4 * rho / (1 - rho) ** 2 * np.sin(np.pi * nu) ** 2)
@@ -288,16 +299,13 @@ class _NoiseFamily:
         strides = np.array(_strides(step, cutoff))
         gains = (2 * np.sin(np.pi * nu * strides[:, None])) ** (2 * _ORDER)
         # Normalise by the exact gain for white noise, independent of the grid.
-        exact = comb(2 * _ORDER, _ORDER)
-        gains *= exact / (gains @ weight)[:, None]
+        gains *= _WHITE_SCALE / (gains @ weight)[:, None]
         # power per row: a hold multiplies it at low frequencies
-        frequency = nu / step
-        per_row = hold * np.sinc(nu) ** 2
-        bands = [
-            (frequency >= low * cutoff) & (frequency < high * cutoff)
-            for low, high in itertools.pairwise(_GAP)
-        ]
-        passed = _gain(dt, cutoff, frequency) ** 2 * np.sinc(nu) ** 2
+        frequency, held = nu / step, (np.sinc(nu) / np.sinc(nu / hold)) ** 2
+        per_row = hold * held
+        borders = itertools.pairwise(_GAP * cutoff)
+        bands = [(frequency >= low) & (frequency < high) for low, high in borders]
+        passed = _gain(dt, cutoff, frequency) ** 2 * held
         views = [*(gains * weight)]
         # A band above the Nyquist frequency is empty, and not measured.
         views += [b * per_row * weight / max(b @ weight, nu[0]) for b in bands]
@@ -327,10 +335,7 @@ class _NoiseFamily:
         has_above, has_gap = np.isfinite(scales), gap > 0
         w_above = np.where(has_above, scale_spread**-2.0, 0.0)
         w_gap = np.where(has_gap, gap_spread**-2.0, 0.0)
-        above, in_gap = (
-            np.where(used, x, 0.0)
-            for used, x in ((has_above, above), (has_gap, in_gap))
-        )
+        above, in_gap = np.where(has_above, above, 0.0), np.where(has_gap, in_gap, 0.0)
 
         def cost_of(amplitude, most):
             """Sum squared deviations, those in the gap clipped from above at `most`."""
@@ -355,10 +360,8 @@ class _NoiseFamily:
         interval = low - margin, high + margin
         if has_gap.any():
             # Fit the spectrum above the band and in the gap together.
-            total = w_above.sum() + w_gap.sum()
-            amplitude = (
-                (above * scale_spread) @ w_above + (in_gap * gap_spread) @ w_gap
-            ) / total
+            amplitude = (above * scale_spread) @ w_above + (in_gap * gap_spread) @ w_gap
+            amplitude /= w_above.sum() + w_gap.sum()
             count = has_above.sum() + has_gap.sum()
             cost = cost_of(amplitude, np.inf)
             (low, combined, high), misfit = self._level(cost, amplitude, count)

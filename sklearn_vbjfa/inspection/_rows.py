@@ -365,7 +365,7 @@ def _check_coarse(log, j, x):
     # Small quantisation errors are part of the joint's noise floor.
     severity = "warning" if np.ptp(x) < number.LEVELS * size else "note"
     log.report("coarse_torque", j, severity, step=size, spread=spread)
-    return True
+    return severity == "warning"
 
 
 def _find_dropouts(log, j, x):

@@ -72,29 +72,23 @@ def elbow_spring(q, v):
 
 
 @pytest.mark.parametrize("step", one_in(4, [0.3, 0.05, 0.2, 0.5]))
-def test_coarse_torques_are_reported_and_name_nothing(step):
+def test_coarse_torques_are_reported_and_searched(step):
     """Quantised torques with a missing spring; `step` is relative to their std."""
     t = seconds(40.0)
     q, tau = measure(t, pauses(t, [(1, 39)], [(1, 39)]), extra=elbow_spring)
     size = step * tau.std(axis=0)
     coarse = size * np.round(tau / size)
     loop = close(q, coarse)
-    if step < 0.2:
-        assert named(loop) == [("spring", 1)]
-        return
-    assert loop.effects_ == ()
-    assert loop.report_.status == "unsearched"
-    assert not loop.report_.outcome.column("searched").any()
-    assert "steps of" in text_of(loop.report_)
-    assert np.isfinite(loop.error_after_).all()
+    assert named(loop) == [("spring", 1)]
+    assert ("steps of" in text_of(loop.report_)) == (step >= 0.2)
 
 
 def test_unit_of_errors_of_a_coarse_channel_is_that_of_the_whole_recording():
     t = seconds(40.0)
     q, tau = measure(t, pauses(t, [(0, 40)], [(0, 40)]))
-    size = 0.5 * tau.std(axis=0)
+    size = 2.0 * tau.std(axis=0)
     coarse = size * np.round(tau / size)
-    coarse[t < 8.0] += 8.0 * size  # before the held-out parts
+    coarse[t < 8.0] += 2.0 * size  # before the held-out parts
     loop = close(q, coarse)
     assert not loop.report_.outcome.column("searched").any()
     np.testing.assert_allclose(loop.torque_std_, coarse.std(axis=0), rtol=0.1)

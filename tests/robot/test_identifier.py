@@ -162,7 +162,7 @@ def test_automatic_cutoff_is_five_bandwidths(identified):
     assert identified.cutoff_ == pytest.approx(5 * bandwidth)
 
 
-@pytest.mark.parametrize(("times", "cutoff"), [(5, 5.0), (10, 3.0)])
+@pytest.mark.parametrize(("times", "cutoff"), [(5, 5.0), (10, 2.5)])
 def test_slow_motion_is_filtered_at_the_lowest_cutoff(simulated, times, cutoff):
     # The same positions at a lower sampling rate are a slower motion.
     slow = identify(simulated, dt=times * simulated.dt)

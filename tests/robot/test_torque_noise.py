@@ -92,6 +92,16 @@ def test_quantisation_noise_is_included():
     np.testing.assert_allclose(estimate, expected, rtol=0.15)
 
 
+def test_rounding_of_noise_free_torques_is_noise():
+    """Its spectrum depends on the motion, and the median difference is zero."""
+    slow = 5 * Q
+    rounded = 2.0 * np.round(slow / 2.0)
+    facts = noise_facts(rounded - slow, rounded, STATES, DT, CUTOFF)
+    taps = _lowpass.design(DT, CUTOFF).taps[:, None]
+    left = signal.convolve(rounded - slow, taps, mode="valid").std(axis=0)
+    np.testing.assert_allclose(filtered_noise([facts], DT, CUTOFF, left), left, 0.05)
+
+
 def test_random_walk_noise_is_not_underestimated():
     """A random walk has no finite level at the frequencies of the motion."""
     rng = np.random.default_rng(4)
@@ -125,6 +135,8 @@ def test_noise_does_not_exceed_the_residual():
 def test_noise_is_unknown_without_a_stopband():
     noise = np.random.default_rng(5).normal(size=(N, 2))
     assert np.isnan(noise_of(noise, cutoff=60.0)).all()
+    taps = _lowpass.design(DT, 50.0).taps
+    np.testing.assert_allclose(noise_of(noise, cutoff=50.0), np.sqrt(taps @ taps), 0.1)
     assert not _torque_noise.stopband_exists(None, 1.0)
     assert not _torque_noise.stopband_exists(DT, np.inf)
 

@@ -213,13 +213,7 @@ def _with_stretches(bare, parts, stretches):
     edges = sorted(ends | starts | stops)
     pieces = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
     rows = np.delete(np.arange(len(pieces)), np.r_[tuple(stretches)])
-    return replace(
-        bare,
-        stretches=tuple(stretches),
-        borders=tuple(
-            (s.start not in ends | stops, s.stop not in ends | starts)
-            for s in stretches
-        ),
-        rows=rows,
-        pieces=pieces[rows],
-    )
+    first, last = ends | stops, ends | starts
+    borders = tuple((s.start not in first, s.stop not in last) for s in stretches)
+    chosen = {"stretches": tuple(stretches), "borders": borders}
+    return replace(bare, rows=rows, pieces=pieces[rows], **chosen)

@@ -112,7 +112,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         Cut-off frequency [Hz] of the low-pass filter of regressor and torques.
         ``"auto"`` is five times the bandwidth of the motion (the frequency below which
         99 % of the velocity power of the fastest joint lies), and at least 5 Hz or
-        30 % of the sampling rate; states are not filtered. None filters nothing.
+        25 % of the sampling rate; states are not filtered. None filters nothing.
     input_noise : "auto" or None, default="auto"
         With ``"auto"`` the noise of the regressor matrix is estimated from even and odd
         samples, and corrected by regressors that accept a noise covariance. None treats

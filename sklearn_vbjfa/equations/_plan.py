@@ -198,8 +198,7 @@ def make_plan(settings, effects, lengths, estimator, facts):
         state_estimator=estimator,
         cutoff=cutoff,
         standstill=facts.standstill(settings.fit_options.standstill, estimator),
-        # A joint stops in more than half of its reversals.
-        stops=2 * facts.slow[1] > facts.slow[0],
+        stops=facts.stops,
         effects=effects,
         corrects_noise=corrects_noise(settings.regressor),
         fastest_period=facts.period,
@@ -305,6 +304,11 @@ class MotionFacts:
     def fast(self):
         """Return the 99.5th percentiles of the speeds (nv,) over all samples."""
         return _top_quantile(self.fastest, self.n)
+
+    @property
+    def stops(self):
+        """Joints (nv,), bool, that stop in more than half of their reversals."""
+        return 2 * self.slow[1] > self.slow[0]
 
     def standstill(self, setting, estimator):
         """Return the speeds (nv,) of `resolve_standstill`, by an estimator or None."""

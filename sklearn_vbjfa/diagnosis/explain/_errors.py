@@ -47,7 +47,7 @@ def held_out_errors(loop, search, split, thinned, whole):
         weight = results[completed].weight * used
         return {model: replace(x, weight=weight) for model, x in results.items()}
 
-    held_out = residuals(guarded.held_out(whole), guarded.held_out_rows)
+    held_out = residuals(guarded.held_out(whole), np.r_[guarded.stretches])
     searched = residuals(thinned.searched(whole), thinned.rows)
     fitted = searched[plain]
     if thinned is not split:

@@ -34,6 +34,8 @@ class Split:
     """Rows of the search and held-out stretches."""
 
     moving: np.ndarray  # (n, nv): which joints move
+    # (n, nv): filtered rows in motion that each row adds if it lies inside a stretch
+    filtered: np.ndarray
     half: int  # rows that the low-pass loses at each end
     need: float  # filtered rows in motion that a verdict needs
     stretches: tuple = ()  # held-out rows, slices
@@ -47,36 +49,28 @@ class Split:
         """Return the rows of the search, as a recording."""
         return take_rows(recording, self.rows, self.pieces)
 
-    @property
-    def held_out_rows(self):
-        """Rows of all held-out stretches, ndarray."""
-        return np.r_[self.stretches]
-
     def held_out(self, recording):
         """Return the held-out rows of a recording, as a recording."""
         return take_rows(recording, self.stretches, range(len(self.stretches)))
 
     def count_moving(self, slices):
         """Count the filtered rows of slices in which each joint moves, (nv,)."""
-        count = np.zeros(self.moving.shape[1])
-        for s in slices:
-            inner = slice(s.start + self.half, max(s.stop - self.half, s.start))
-            count += self.moving[inner].sum(axis=0)
-        return count
+        half = self.half
+        inner = (slice(s.start + half, max(s.stop - half, s.start)) for s in slices)
+        return sum(self.filtered[rows].sum(axis=0) for rows in inner)
 
     def without(self, clock, instants):
         """Return the split without stretches that contain an instant of change."""
+
         # The search locates an instant [s] only between two of its rows on the clock
         # (n,). A stretch at the end of a recording is not affected, and at least one
         # stretch is kept.
+        def clean(s, border):
+            inside = (clock[s.start - 1] < x <= clock[s.stop] for x in instants)
+            return not all(border) or not any(inside)
+
         pairs = list(zip(self.stretches, self.borders))
-        clean = [
-            (s, border)
-            for s, border in pairs
-            if not all(border)
-            or not any(clock[s.start - 1] < x <= clock[s.stop] for x in instants)
-        ]
-        stretches, borders = zip(*clean or pairs)
+        stretches, borders = zip(*[x for x in pairs if clean(*x)] or pairs)
         return replace(self, stretches=stretches, borders=borders)
 
     def with_guard(self, rows):
@@ -114,16 +108,23 @@ def _without_stretches(identifier, recording, parts):
     """Return a split with moving joints and needed rows, but no stretches."""
     estimator, dt, options = None, identifier.dt, identifier.fit_options
     if recording.states is None:
-        cutoff = options.state_cutoff
-        estimator = fit_states(dt, cutoff, recording.q, recording.groups)
+        estimator = fit_states(dt, options.state_cutoff, recording.q, recording.groups)
     states, facts = observe(recording, estimator, False, identifier.n_jobs)
     limit = np.maximum(facts.standstill(options.standstill, estimator), 0.0)
     longest = max(part.stop - part.start for part in parts)
     cutoff = resolve_cutoff(identifier.cutoff, longest, dt, estimator, identifier.drive)
     speeds = (np.abs(derivative(q, slice(None), 1)) for q in states.full)
+    moving, lowpass = [speed > limit for speed in speeds], _lowpass.design(dt, cutoff)
+    filtered = np.zeros((parts[-1].stop, limit.size))
+    for part, moves in zip(parts, moving):
+        rows = part.start + lowpass.centres(len(moves))
+        # as `Segment.filtered_weight`, in rows
+        filtered[rows] = lowpass.samples(moves * 1.0) / (lowpass.taps @ lowpass.taps)
+        filtered[rows] *= np.where(facts.stops, lowpass.certainty(moves), 1.0)
     return Split(
-        moving=np.concatenate([speed > limit for speed in speeds]),
-        half=_lowpass.design(dt, cutoff).half,
+        moving=np.concatenate(moving),
+        filtered=filtered,
+        half=lowpass.half,
         need=FEWEST_VALUES / (2.0 * min(cutoff, 0.5 / dt) * dt),
     )
 
@@ -135,7 +136,7 @@ def _best_count(bare, parts, share):
     progress = [_progress(weight[part]) for part in parts]
     lengths = [max(int(x * 2 * bare.half), _MIN_SAMPLES) for x in _LENGTHS]
     wanted = _STRETCHES if len(parts) == 1 else 1
-    sufficient = _MAX_SHARE * total > bare.need
+    sufficient = _MAX_SHARE * bare.filtered.sum(axis=0) > bare.need
     best, chosen = (False, -1.0), None
     for count in (*range(wanted, _MAX_STRETCHES + 1), *range(wanted - 1, 0, -1)):
         stretches = _place(progress, parts, count, share, *lengths)

@@ -52,7 +52,7 @@ def moving(q):
 
 def whole(split, n, groups=None):
     """Assert that the parts are a partition and that cuts start new pieces."""
-    search, test = split.rows, split.held_out_rows
+    search, test = split.rows, np.r_[split.stretches]
     assert_array_equal(np.sort(np.r_[search, test]), np.arange(n))
     assert np.all(np.diff(search) > 0)
     assert np.all(np.diff(test) > 0)
@@ -66,7 +66,7 @@ def test_a_single_recording_has_several_held_out_segments(minute):
     q, split = minute
     whole(split, len(q))
     assert len(split.stretches) == 3
-    assert split.held_out_rows.size == pytest.approx(0.25 * len(q), rel=0.05)
+    assert np.r_[split.stretches].size == pytest.approx(0.25 * len(q), rel=0.05)
     assert split.stretches[-1].stop == len(q)
     centres = [0.5 * (s.start + s.stop) / len(q) for s in split.stretches]
     assert_allclose(centres, (np.arange(3) + 0.875) / 3, atol=0.03)
@@ -90,7 +90,7 @@ def test_held_out_rows_contain_motion():
     q = motion(60.0, still=[(0, 40.0, 60.0), (1, 40.0, 60.0)])
     split = split_positions(robot(), q)
     whole(split, len(q))
-    share = moving(q)[split.held_out_rows].sum() / moving(q).sum()
+    share = moving(q)[np.r_[split.stretches]].sum() / moving(q).sum()
     assert share == pytest.approx(0.25, abs=0.04)
     # The last quarter of the rows contains no motion.
     assert moving(q)[-len(q) // 4 :].sum() == 0
@@ -101,7 +101,7 @@ def test_held_out_rows_contain_motion_of_every_joint():
     for groups in (None, np.repeat([0, 1], len(q) // 2)):
         split = split_positions(robot(), q, groups)
         whole(split, len(q), groups)
-        share = moving(q)[split.held_out_rows].sum(axis=0) / moving(q).sum(axis=0)
+        share = moving(q)[np.r_[split.stretches]].sum(axis=0) / moving(q).sum(axis=0)
         assert np.all(share > 0.12), share
         assert np.all(share < 0.4), share
 
@@ -109,24 +109,34 @@ def test_held_out_rows_contain_motion_of_every_joint():
 def test_the_guard_keeps_half_of_every_segment(minute):
     q, split = minute
     narrow = split.with_guard(10)
-    assert narrow.held_out_rows.size == split.held_out_rows.size - 10 * 5
+    assert np.r_[narrow.stretches].size == np.r_[split.stretches].size - 10 * 5
     assert narrow.stretches[-1].stop == len(q)
     assert_array_equal(narrow.rows, split.rows)
     wide = split.with_guard(10**6)
-    assert wide.held_out_rows.size < narrow.held_out_rows.size
+    assert np.r_[wide.stretches].size < np.r_[narrow.stretches].size
     for before, after in zip(split.stretches, wide.stretches):
         assert after.stop - after.start >= 0.5 * (before.stop - before.start)
+
+
+def test_filtered_rows_of_short_moves_are_counted():
+    q = motion(40.0, [(j, k + 1.0, k + 3.0) for k in range(0, 40, 3) for j in (0, 1)])
+    split, tau = split_positions(robot(cutoff=4.0), q), np.gradient(q, DT, axis=0)
+    rows, sizes = np.r_[split.stretches], [len(q[x]) for x in split.stretches]
+    labels = np.repeat(range(len(sizes)), sizes)
+    weight = robot(cutoff=4.0).fit(q, tau).residuals(q[rows], tau[rows], labels).weight
+    count = 3 * (weight / weight.max(axis=0)).sum(axis=0)  # decimated by three
+    assert_allclose(split.count_moving(split.stretches), count, rtol=0.05)
 
 
 def test_short_recordings_have_a_larger_held_out_share():
     q = motion(16.0)
     split = split_positions(robot(cutoff=2.2), q, None, 0.15)
-    share = split.held_out_rows.size / len(q)
+    share = np.r_[split.stretches].size / len(q)
     assert 0.16 < share < 0.41
     assert np.all(split.count_moving(split.stretches) >= split.need)
     # The share is not increased if even that is not enough.
     shorter = split_positions(robot(cutoff=2.2), q[:400], None, 0.15)
-    assert shorter.held_out_rows.size == pytest.approx(0.15 * 400, rel=0.6)
+    assert np.r_[shorter.stretches].size == pytest.approx(0.15 * 400, rel=0.6)
 
 
 def test_segments_with_a_jump_are_not_held_out(minute):

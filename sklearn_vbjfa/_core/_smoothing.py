@@ -61,9 +61,7 @@ def rounding(cutoff):
     """Mean of abs(t) under the impulse response of the smoother [s]."""
     # (2 / pi) times the integral of (1 - G) / omega^2 over all positive omega
     share = np.pi / (2 * _ORDER)
-    return (
-        0.0 if not np.isfinite(cutoff) else share / np.sin(share) / (np.pi**2 * cutoff)
-    )
+    return share / np.sin(share) / (np.pi**2 * cutoff)
 
 
 def _difference_gain(frequency, h):
@@ -195,9 +193,8 @@ def choose_cutoff(frequency, power, noise_gain, held, dt):
     # With gain G the expected squared error at a frequency is (1 - G)^2 times the
     # signal power plus G^2 times the noise power; the signal power is the measured one
     # minus the noise (Mallows' C_p). Also returns the noise variance.
-    variance = np.array(
-        [white_noise_variance(frequency, column, noise_gain) for column in power.T]
-    )
+    levels = [white_noise_variance(frequency, x, noise_gain) for x in power.T]
+    variance = np.array(levels)
     noise = variance * noise_gain[:, None]
     # Acceleration noise grows with the fourth power of frequency: a tenth of it counted
     # as signal would exceed the motion.

@@ -681,8 +681,7 @@ class TorqueResiduals:
 
     def relative_error(self, spread):
         """Root mean square over a torque spread (nv,); nan where there is none."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(spread > 0, self.rms() / spread, np.nan)
+        return self.rms() / np.where(spread > 0, spread, np.nan)
 
     def normalised_error(self):
         """Root mean square over the standard deviation of the torque, (nv,)."""

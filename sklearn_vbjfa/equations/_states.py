@@ -111,8 +111,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         moving, spectra = None, None
         if longest >= SAMPLES_FOR_NOISE:
             segments = [X[part] for part in parts]
-            travel = [np.ptp(x, axis=0) for x in segments]
-            moving = np.any(np.array(travel) > 0, axis=0)
+            moving = np.any([np.ptp(x, axis=0) > 0 for x in segments], axis=0)
             spectra = _smoothing.acceleration_spectra(segments, dt)
         return self._choose(longest, moving, spectra)
 

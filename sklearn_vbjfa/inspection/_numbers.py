@@ -63,7 +63,7 @@ TOO_SLOW, LONG_PERIOD, NEAR_PERIODS = 0.01, 0.15, (0.01, 0.3)
 # A lag is reported from this many standard errors on, if it raises the log squared
 # error of no joint by more than this, or this share of the total fall. Iterations, and
 # step that ends them [samples]; time constants of a low-pass relative to the lag.
-LEAST_LAG, HARM, MOVES, SAMPLE, CONSTANTS = 3.0, 0.125, 8, 0.75, (0.7, 1.0, 1.4)
+LEAST_LAG, HARM, MOVES, SAMPLE, CONSTANTS = 3.0, 0.125, 40, 0.75, (0.7, 1.0, 1.4)
 # Longest delay of positions against their commands [s].
 LATE_COMMAND = 0.15
 # A contact torque exceeds this many residual standard deviations; least duration (as

@@ -169,6 +169,8 @@ def torque_lag(reading):
         after = reading.apply(Change(lag=n_whole))
         if after.is_uninformative():
             return None
+    else:
+        return None
     shifted = robot.fit(tau=signals.tau + fraction * signals.slope)
     baseline = robot.fit(tau=reading.signals.tau)
     gain, changes = shifted.evidence - baseline.evidence, shifted.loss - baseline.loss

@@ -261,17 +261,6 @@ def test_a_robot_at_rest_is_an_error(arm, noise):
     assert {f.severity for f in still} == {"warning"}
 
 
-def test_torques_of_few_values_are_coarse(arm):
-    recording, _ = arm
-    tau = recording.tau.copy()
-    tau[:, 0] = np.where(tau[:, 0] < 0, -1.0, 1.0)
-    assert ("coarse_torque", (0,)) in found(inspect(arm, tau=tau))
-    tau = np.round(recording.tau / (2 * recording.tau.std(axis=0)))
-    findings = inspect(arm, tau=tau)
-    assert {f.severity for f in findings} == {"warning"}
-    assert sum(f.kind == "coarse_torque" for f in findings) == 6
-
-
 def findings_of_kind(findings, kind):
     """Joints and severities of the findings of one kind."""
     return [(f.joints, f.severity) for f in findings if f.kind == kind]

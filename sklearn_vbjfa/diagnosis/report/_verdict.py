@@ -8,9 +8,9 @@ from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR, NO_INFORMATION, WORSE, 
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import TorqueGain
 
-# Relative error of predicting the mean of the held-out torque, and error above which
-# uses are qualified.
-_MEAN_TORQUE, _LARGE = 1.0, 0.5
+# Relative error of predicting the mean of the held-out torque, and errors above which
+# uses are forbidden and qualified.
+_MEAN_TORQUE, _LARGE, _FIFTH = 1.0, 0.5, 0.2
 # Status of a robot from that of a joint, worst first: with effects, without.
 _STATUS = {
     "failed": ("failed", "failed"),
@@ -171,10 +171,11 @@ def _uses(outcome, faults, joints, rose):
     overall = "faulty" if faults else ""
     overall = overall or ("contradiction" if outcome.findings["contradictions"] else "")
     large = [joint.joint for joint in outcome.errors if joint.after > _LARGE]
+    fifth = [x.joint for x in outcome.errors if _FIFTH < x.after <= _LARGE]
     effects = (*outcome.findings["effects"], *outcome.findings["possible"])
-    library = outcome.robot["library"]
-    motion = enumerate(outcome.robot["motion"])
+    library, motion = outcome.robot["library"], enumerate(outcome.robot["motion"])
     one_way = [j for j, x in motion if x.resting < 1 and not x.reversals]
+    noted = {"large": large, "fifth": fifth, "rose": rose, "one way": one_way}
     hidden = {e.joint for e in effects if library[e.name].files.simulation}
     hidden = sorted(hidden.union(outcome.robot["unsimulated"]))
     # Without a torque sensor, a wrong gain is an error of the control law itself.
@@ -192,9 +193,8 @@ def _uses(outcome, faults, joints, rose):
             code = verdict.status if verdict.status in forbidden else verdict.detail
             if code in (*forbidden, "large"):
                 causes.setdefault(code, []).append(verdict.joint)
-        allowed = not causes
-        if allowed:
-            qualified = {"large": large, "rose": rose, "one way": one_way}
+        if allowed := not causes:
+            qualified = dict(noted)
             if name == "simulation":
                 qualified["left out"] = hidden
             elif name == "collision detection":

@@ -96,7 +96,7 @@ def test_a_large_error_is_noted_with_the_uses():
     for after in (0.4, 0.6):
         outcome = make_outcome(channels=(), after=np.full(6, after))
         use, *_ = Report(outcome).uses
-        assert "error above half of the torque" in use.reason or after < 0.5
+        assert f"above {'a fifth' if after < 0.5 else 'half'} of the" in use.reason
         for floor in (0.01, np.nan):
             more = {"after": np.full(6, after), "floor": np.full(6, floor)}
             outcome = make_outcome(unexplained=(2,), channels=(), **more)

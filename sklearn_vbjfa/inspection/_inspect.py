@@ -61,16 +61,13 @@ class Hypothesis:
         if candidate.fall > 0.01 * reading.nv:
             fall = np.exp(candidate.fall / reading.robot.joints.size)
             evidence = f"squared errors fall by the factor {fall:.3g}, {evidence}"
-        return finding(
+        kind, severity = (
             candidate.kind or self.name,
-            reading.names,
-            candidate.joints,
             candidate.severity or self.severity,
-            value=candidate.value,
-            remedy=candidate.remedy,
-            rivals=rivals,
-            **{"evidence": evidence, **candidate.facts},
         )
+        facts = {"evidence": evidence, "rivals": rivals, **candidate.facts}
+        facts |= {"value": candidate.value, "remedy": candidate.remedy}
+        return finding(kind, reading.names, candidate.joints, severity, **facts)
 
 
 # fmt: off
@@ -91,8 +88,7 @@ TABLE = (
     Hypothesis("swapped_positions", "error",
                partial(positions.orders, what="positions"), "several", "poor"),
     Hypothesis("swapped_joints", "error",
-               partial(positions.orders, what="positions and torques"), "several",
-               "poor"),
+        partial(positions.orders, what="positions and torques"), "several", "poor"),
     Hypothesis("flipped_joint", "error", partial(positions.flipped, torques=True),
                when="poor"),
     Hypothesis("position_sign", "error", partial(positions.flipped, torques=False),
@@ -114,9 +110,13 @@ TABLE = (
     # -- scene
     Hypothesis("no_gravity", "error", scene.weightless, "weighs"),
     Hypothesis("gravity_only", "error", scene.gravity_only, "weighs moves"),
+    Hypothesis("no_gravity", "error", torques.missing_weight, "weighs",
+               prior=2 * number.PRIOR),
     Hypothesis("base_orientation", "error", scene.base_orientation, "weighs"),
     Hypothesis("external_force", "warning", scene.external_force, "moves", "poor"),
     Hypothesis("delay", "note", scene.torque_lag, "moves", "last"),
+    Hypothesis("no_gravity", "warning", scene.unloaded_slides, "weighs moves", "last"),
+    Hypothesis("driving_friction", "error", torques.driving_friction, "moves", "last"),
     Hypothesis("torque_unit", "warning", torques.beyond_limits, "measured", "last"),
     Hypothesis("other_robot", "warning", torques.other_robot, "measured poor",
                "nothing else"),
@@ -150,7 +150,6 @@ def inspect_recording(recording, model=None):
         Findings, the worst first. An "error" is what a search for effects would find
         instead of effects; a "warning" rules out a favourable verdict; a "note" is
         harmless, or says what this motion of this robot cannot show ("unverified").
-        The page on log formats explains them.
 
     Examples
     --------
@@ -179,17 +178,11 @@ def inspect_as(recording, model, **settings):
     if recording.dt is None:
         # Without dt, states may be in any order.
         return ()
-    return tuple(wrong_states(recording)) or inspect_channels(
-        model,
-        recording.q,
-        bridged(recording).tau,
-        recording.dt,
-        np.asarray(recording.group_names)[recording.groups],
-        named=recording.joints_named,
-        weight=recording.weight,
-        feedback=recording.feedback,
-        **settings,
-    )
+    groups = np.asarray(recording.group_names)[recording.groups]
+    channels = recording.q, bridged(recording).tau, recording.dt, groups
+    settings |= {"named": recording.joints_named, "weight": recording.weight}
+    settings["feedback"], wrong = recording.feedback, tuple(wrong_states(recording))
+    return wrong or inspect_channels(model, *channels, **settings)
 
 
 def refusal(findings, units=()):
@@ -255,7 +248,7 @@ def inspect_channels(
     for check in () if single else CHECKS:
         check(log)
     log.usable[:, log.still & (not single)] = False
-    if "copied_position" in {x.kind for x in log.findings}:
+    if {"copied_position", "shuffled_rows"} & {x.kind for x in log.findings}:
         return findings_in_order(log.findings)
     q, tau, usable = log.q, log.tau, log.usable
     if log.every > 1:
@@ -269,13 +262,11 @@ def inspect_channels(
     sizes = (part.stop - part.start for part in all_parts)
     recordings = [x for x, n in zip(recordings, sizes) if n >= number.MIN_SAMPLES]
     findings = _compare_recordings(reading, recordings)
-    excluded = {
-        *(() if gains is None else _SCALE_KINDS),
-        "torque_unit" if bodies == "free" else "",
-        "unsigned_torque" if drive is not None and drive.unsigned else "",
-        # Faulty rows do not show whether the log is of another robot.
-        "other_robot" if any(x.severity != "note" for x in log.findings) else "",
-    }
+    excluded = {*(() if gains is None else _SCALE_KINDS)}
+    excluded |= {"torque_unit"} if bodies == "free" else set()
+    excluded |= {"unsigned_torque"} if drive is not None and drive.unsigned else set()
+    # Faulty rows do not show whether the log is of another robot.
+    excluded |= {"other_robot" * any(x.severity != "note" for x in log.findings)}
     findings = [x for x in findings if x.kind not in excluded]
     return findings_in_order(log.findings + findings)
 
@@ -291,9 +282,8 @@ def _compare(reading):
     if reading is None:
         return findings
     findings = findings or implausible_speed(reading)
-    matches = []
-    if not any(x.severity == "error" for x in findings):
-        matches = _probable(reading, "last")
+    grave = any(x.severity == "error" for x in findings)
+    matches = [] if grave else _probable(reading, "last")
     matches = matches or ([] if findings else _probable(reading, "nothing else"))
     findings += [x.finding(reading, *y) for x, y in matches]
     return findings + _unverified(reading)
@@ -313,15 +303,11 @@ def _compare_recordings(reading, names):
         return _compare(reading)
     common = _compare(reading.select_parts(others)) if others else _unverified(reading)
     # A fit may correct a fault of all recordings, but not one of a single recording.
-    return common + [
-        replace(
-            finding,
-            severity="error" if finding.severity == "error" else "warning",
-            message=f"Recording {names[k]} alone: {finding.message}",
-            remedy={},
-        )
-        for k, finding in pairs
-    ]
+    for k, x in pairs:
+        severity = "error" if x.severity == "error" else "warning"
+        message = f"Recording {names[k]} alone: {x.message}"
+        common += [replace(x, severity=severity, message=message, remedy={})]
+    return common
 
 
 def _apply_hypotheses(reading):
@@ -345,9 +331,8 @@ def _apply_hypotheses(reading):
             if after is None:
                 break
             if not after.is_uninformative():
-                cache, before = reading.robot.times, reading.robot.baseline
-                robot = DescribedRobot(after.bodies, after.signals, cache)
-                if robot.baseline.evidence > before.evidence:
+                robot = DescribedRobot(after.bodies, after.signals, reading.robot.times)
+                if robot.baseline.evidence > reading.robot.baseline.evidence:
                     break
         else:
             break

@@ -136,9 +136,9 @@ class DescribedRobot:
         return self.regressor @ self.bodies.parameters
 
     @functools.cached_property
-    def inertial_torques(self):
-        """Torques (n, nv) of the described bodies without gravity."""
-        return self._parts[0] @ self.bodies.parameters
+    def floating(self):
+        """The described robot without gravity."""
+        return DescribedRobot(self.bodies, self.signals, self.times, self._parts[0])
 
     @functools.cached_property
     def unit_weights(self):
@@ -149,7 +149,7 @@ class DescribedRobot:
     @property
     def weight(self):
         """Torques (n, nv) of the described bodies by gravity alone."""
-        return self.described - self.inertial_torques
+        return self.described - self.floating.described
 
     @functools.cached_property
     def baseline(self):
@@ -377,10 +377,6 @@ def _solve(joints, prior, m):
     factors, errors = np.zeros(m), prior[prior.size - m :].copy()
     factors[columns] = theta[positions] * prior[columns]
     errors[columns] *= np.sqrt(np.maximum(np.diagonal(covariance)[positions], 0.0))
-    return BodyFit(
-        evidence=float(friction - 0.5 * penalty),
-        loss=np.log(noise / total),
-        factors=factors,
-        errors=errors,
-        power=np.array(power),
-    )
+    evidence, loss = float(friction - 0.5 * penalty), np.log(noise / total)
+    extra = {"factors": factors, "errors": errors, "power": np.array(power)}
+    return BodyFit(evidence=evidence, loss=loss, **extra)

@@ -47,20 +47,11 @@ def motion_of(recording, model=None):
         speeds = v[moving, j]
         reversals = int((speeds[1:] * speeds[:-1] < 0).sum())
         shows, hides = _visible(speeds, reversals, high - low, slides[j])
-        motions.append(
-            JointMotion(
-                name=name,
-                slides=bool(slides[j]),
-                lowest=float(low),
-                highest=float(high),
-                fastest=float(np.quantile(np.abs(v[:, j]), 0.995)),
-                reversals=reversals,
-                resting=float(1 - moving.mean()),
-                torques=(float(tau[:, j].min()), float(tau[:, j].max())),
-                shows=shows,
-                hides=hides,
-            )
-        )
+        facts = {"lowest": float(low), "highest": float(high), "reversals": reversals}
+        facts["fastest"] = float(np.quantile(np.abs(v[:, j]), 0.995))
+        facts |= {"resting": float(1 - moving.mean()), "shows": shows, "hides": hides}
+        facts["torques"] = float(tau[:, j].min()), float(tau[:, j].max())
+        motions.append(JointMotion(name=name, slides=bool(slides[j]), **facts))
     return tuple(motions)
 
 
@@ -74,19 +65,16 @@ def _visible(speeds, reversals, reach, slides):
     """Return effects that a motion shows and hides, two tuples of str."""
     if not speeds.size:
         return (), ("everything (it does not move)",)
-    few, narrow = number.FEW_REVERSALS, reach < number.WIDE_RANGE
+    few, narrow = number.FEW_REVERSALS, bool(reach < number.WIDE_RANGE)
+    rare = f"too few reversals: {reversals}, at least {few} needed" * (reversals < few)
+    small = f"range of {np.degrees(reach):.3g} degrees, at least 60 needed" * narrow
     even = one_speed(np.abs(speeds)) is not None
     # Effect -> reason why it is not identifiable; empty if it is.
     reasons = {
         "Coulomb friction, separate from offset": "it never reverses" * (not reversals),
         "viscous friction, separate from Coulomb friction": "one speed only" * even,
-        "friction with memory, backlash": (
-            f"too few reversals: {reversals}, at least {few} needed" * (reversals < few)
-        ),
-        "position-dependent effects": (
-            f"range of {np.degrees(reach):.3g} degrees, at least 60 needed"
-            * bool(narrow)
-        ),
+        "friction with memory, backlash": rare,
+        "position-dependent effects": small,
     }
     if slides:
         del reasons["position-dependent effects"]

@@ -10,19 +10,16 @@ import numpy as np
 PRIOR, DECISIVE, RIVAL, INTERVAL = -np.log(100.0), 5.0, np.log(19.0), 1.645
 # Log odds by which a contact, or zeros whose errors fall little, must exceed other
 # masses and springs.
-FAR_ODDS = 25.0
 # Least fall of log squared errors by a change of the whole log, averaged over joints,
 # and by a change of some joints, for each of these.
-CLEAR, CLEAR_OF_JOINT = np.log(2.0), np.log(4.0)
+FAR_ODDS, CLEAR, CLEAR_OF_JOINT = 25.0, np.log(2.0), np.log(4.0)
 # Order, direction and zero are not tested if all relative errors are below this.
-GOOD_FIT = 0.1
 # Number of changes of one kind for which the likelihood is computed.
-MOST_LIKELY = 6
+GOOD_FIT, MOST_LIKELY = 0.1, 6
 # Rows of the rough score of changes: at least, and times the number of joints. In it,
 # described torques of opposite sign cost four times this share of their square.
-LEAST_ROUGH, ROUGH, ROUGH_PRIOR = 60, 4000, 0.05
 # Largest shift of all columns: columns of no joint may precede the first one.
-SHIFTS = 3
+LEAST_ROUGH, ROUGH, ROUGH_PRIOR, SHIFTS = 60, 4000, 0.05, 3
 # Zeros that are tested [rad], prior standard deviation of a step from there [rad], or
 # of a factor [log], and half step of numerical derivatives.
 ANGLES = np.radians([-120, -80, -40, 40, 80, 120, 180])
@@ -65,10 +62,9 @@ TOO_SLOW, LONG_PERIOD, NEAR_PERIODS = 0.01, 0.15, (0.01, 0.3)
 # step that ends them [samples]; time constants of a low-pass relative to the lag.
 LEAST_LAG, HARM, MOVES, SAMPLE, CONSTANTS = 3.0, 0.125, 40, 0.75, (0.7, 1.0, 1.4)
 # Longest delay of positions against their commands [s].
-LATE_COMMAND = 0.15
 # A contact torque exceeds this many residual standard deviations; least duration (as
 # the denominator of a share of the log), and number of possible ends.
-CONTACT, SHORTEST_CONTACT, CONTACT_ENDS = 3.0, 20, 80
+LATE_COMMAND, CONTACT, SHORTEST_CONTACT, CONTACT_ENDS = 0.15, 3.0, 20, 80
 # Largest range of a joint without limits [rad], least excess over limits of positions
 # in degrees [rad], and least range of encoder counts.
 LARGEST_TURN, FAR_BEYOND, FEWEST_COUNTS = 25.0, 5.0, 25.0
@@ -91,10 +87,9 @@ MOST_ENTRIES, LEAST_ROWS, MOST_ROWS = 2_000_000, 200, 600
 # between recordings, relative to the torque; most recordings; that of factors.
 NOMINAL_ERROR, INVENTED, WIDE, OFFSETS, MANY, FACTOR = 0.5, 8.0, 10.0, 0.3, 20, 1e3
 # Largest cost of negative friction per joint [log]; controllers may compensate it.
-FRICTION = 15.0
 # Iterations of the noise variances and relative change that ends them; iterations of
 # factors and change that ends them [log].
-ITERATIONS, CONVERGED, PASSES, SETTLED = 20, 1e-2, 6, 0.05
+FRICTION, ITERATIONS, CONVERGED, PASSES, SETTLED = 15.0, 20, 1e-2, 6, 0.05
 # Least noise variance relative to that of the torque, least variance of a torque
 # relative to the largest, and autocorrelation at which residuals are independent.
 LEAST_NOISE, LEAST_VARIANCE, INDEPENDENT = 1e-7, 1e-12, 0.05
@@ -106,21 +101,19 @@ MIN_SAMPLES, FEWEST_ROWS, ROWS_PER_PARAMETER, ENOUGH_ROWS = 64, 70, 2, 120
 # is at least the last multiple of that frequency.
 CUTOFF_PER_BANDWIDTH, CUTOFF_PERIODS, SMOOTH = 9.0, 36.0, 5.5
 # A joint is at rest below this share of its 99.5 % quantile of speed.
-STANDSTILL = 0.02
 # Least moving share of the filter window in rows that count as moving, or throughout.
-MOVING, THROUGHOUT = 0.9, 0.98
+STANDSTILL, MOVING, THROUGHOUT = 0.02, 0.9, 0.98
 
 # -- rows ------------------------------------------------------------------------------
 
 # The mean squared step of shuffled rows is twice the variance; 0.7 of that is a
-# correlation of 0.3. Only joints with this standard deviation count [rad or m], as
-# noise has no order; a joint is at rest if its range is below this many deviations of
-# its noise.
-SHUFFLED, LEAST_MOTION, STILL_TRAVEL = 0.7, 0.01, 12.0
+# correlation of 0.3. Only joints with this standard deviation count [rad or m]; a joint
+# is at rest if its range is below this many deviations of its noise.
 # Least number of rows in which the order is tested.
-SHORT_RUN = 16
-# A jump is a full turn up to this fraction of a turn.
-TURN_LEFT = 0.15
+SHUFFLED, LEAST_MOTION, STILL_TRAVEL, SHORT_RUN = 0.7, 0.01, 12.0, 16
+# A jump is a full turn up to the first fraction of a turn, and an overflow of a torque
+# if the median jump is its range up to the second one.
+TURN_LEFT, EDGE = 0.15, 0.05
 # Least number and share of repeated rows that are reported, and that are a warning.
 FEWEST_REPEATED, REPEATED_SHARE, MANY_REPEATED = 3, 0.002, 0.1
 # The logger was frozen if this many rows are equal and a joint moves at this share of
@@ -166,11 +159,10 @@ DEAD_RUN, DEAD_SHARE, DEAD_NOISE, REPEATED = 50, 0.8, 3.0, 0.005
 OUTLIER, FEWEST_AROUND, LEAST_JUMP, MOST_OUTLIERS, MEDIAN = 25.0, 16, 0.003, 0.01, 5
 BEYOND = 3.0, 10.0
 # Derivatives among given states are wrong from this factor on.
-RATE = 1.5
 # Torques are the motion times a factor if they agree to `GOOD_FIT` and the factors of
 # all joints to this share (a single torque must equal it to this share). A torque is a
 # multiple of another one up to the second share.
-SAME, COPY = 0.02, 5e-4
+RATE, SAME, COPY = 1.5, 0.02, 5e-4
 
 # -- what a motion shows ---------------------------------------------------------------
 

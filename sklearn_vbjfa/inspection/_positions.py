@@ -88,11 +88,10 @@ def flipped(reading, torques):
 def coupled_axes(reading):
     """Return the joint whose position contains that of its parent or grandparent."""
     changes, identity, parents = {}, np.eye(reading.nv), list(reading.model.parents)
+    slides = reading.slides
     for j in reading.robot.joints.tolist():
         ancestors = parents[j + 1], parents[parents[j + 1]]
-        same_kind = [
-            i - 1 for i in ancestors if i and reading.slides[i - 1] == reading.slides[j]
-        ]
+        same_kind = [i - 1 for i in ancestors if i and slides[i - 1] == slides[j]]
         for i, sign in product(same_kind, (1.0, -1.0)):
             positions = identity.copy()
             positions[j, i] = -sign
@@ -152,11 +151,9 @@ def misread_commands(reading):
     # Robots that barely follow have the unit of the others if it is far more probable.
     unit = (best % len(_UNITS)).max()
     far = tracking[0] - tracking[unit] > number.DECISIVE
-    faults = {
-        "command_unit": far | (best % len(_UNITS) > 0),
-        "swapped_commands": order != joints,
-        "command_sign": factors[best, joints] < 0,
-    }
+    faults = {"command_unit": far | (best % len(_UNITS) > 0)}
+    faults["swapped_commands"] = order != joints
+    faults["command_sign"] = factors[best, joints] < 0
     # Beyond the resonance of soft gains, positions oppose right commands.
     poor = np.ones(reading.nv, dtype=bool)
     if not reading.is_uninformative():
@@ -167,13 +164,10 @@ def misread_commands(reading):
         return None
     moved = np.flatnonzero(faults[kind])
     fall = np.exp((tracking[0] - loss[best, joints, order])[moved].mean())
-    facts = {
-        "evidence": f"squared tracking errors fall by the factor {fall:.3g}",
-        "what": "commands (q_desired)",
-        "held": listed_joints(reading.names, order[moved]),
-        "unit": _UNITS[unit][0],
-        "given": unit_remedy(reading, "q_desired", _UNITS[unit][1], moved),
-    }
+    text = f"squared tracking errors fall by the factor {fall:.3g}"
+    facts = {"evidence": text, "what": "commands (q_desired)", "unit": _UNITS[unit][0]}
+    facts["held"] = listed_joints(reading.names, order[moved])
+    facts["given"] = unit_remedy(reading, "q_desired", _UNITS[unit][1], moved)
     joints = tuple(moved.tolist())
     return Proposal(joints=joints, log_odds=np.inf, kind=kind, facts=facts)
 
@@ -353,10 +347,8 @@ def _scaling(x, j, nv, geared=False):
 def _ratios(reading, change, joints, errors):
     """List the logged position per radian or metre of each joint, with its error."""
     ratios = 1 / np.diagonal(change.positions)[joints]
-    return ", ".join(
-        f"{reading.names[j]} {x:.3g} ± {number.INTERVAL * error * x:.1g}"
-        for j, x, error in zip(joints, ratios, errors)
-    )
+    each = zip(joints, ratios, number.INTERVAL * np.array(errors) * ratios)
+    return ", ".join(f"{reading.names[j]} {x:.3g} ± {y:.1g}" for j, x, y in each)
 
 
 def encoder_counts(reading):
@@ -421,29 +413,22 @@ def periods(reading):
     # A rate in Hz is the inverse of a period.
     inverse = (1 / dt**2,) if dt >= number.LONG_PERIOD else ()
     fastest = number.TOO_FAST * (_speeds(reading) / _too_fast(reading.model)).max()
-    changes = [
-        Change(period=x)
-        for x in dict.fromkeys([*number.PERIODS, *inverse])
-        if fastest <= number.PLAUSIBLE * x
-    ]
+    factors = [x for x in number.PERIODS + inverse if fastest <= number.PLAUSIBLE * x]
+    changes = [Change(period=x) for x in dict.fromkeys(factors)]
     # Bodies absorb a small deviation of a single joint, but not of several.
     near, (error,) = refine(reading, Change(), [lambda x: Change(period=np.exp(x))])
     least, most = number.NEAR_PERIODS
     if max(least, 3 * error) < abs(np.log(near.period)) < most:
         changes.append(near)
-    proposal = most_probable(
-        judge(reading, x, required, variants=len(changes), joints=reading.every)
-        for x in changes
-    )
+    options = {"variants": len(changes), "joints": reading.every}
+    proposal = most_probable(judge(reading, x, required, **options) for x in changes)
     if proposal is None or proposal.log_odds + number.PRIOR <= number.DECISIVE:
         return None
     # A period changes inertial torques relative to the weight. Alternatives with the
     # same effect are a scaled weight, the weight alone, or springs.
-    rivals = (
-        robot.fit(columns=robot.weight[:, :, None], deviation=1.0),
-        robot.fit(robot.regressor - robot.under_gravity(np.zeros(3))),
-    )
-    best_rival = max(fit.evidence for fit in rivals) - robot.baseline.evidence
+    scaled = robot.fit(columns=robot.weight[:, :, None], deviation=1.0)
+    weight_only = robot.fit(robot.regressor - robot.floating.regressor)
+    best_rival = max(scaled.evidence, weight_only.evidence) - robot.baseline.evidence
     if max(best_rival, robot.springs) > proposal.log_odds - number.RIVAL:
         return None
     period = dt * proposal.change.period

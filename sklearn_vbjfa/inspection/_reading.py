@@ -73,12 +73,9 @@ class Change:
             # The sign of a sum of speeds is approximated by that of the filtered sum.
             is_sum = (self.positions != 0).sum(axis=1) > 1
             sign[:, is_sum] = np.sign(states[:, 1][:, is_sum])
-        return replace(
-            signals,
-            states=states.reshape(len(states), -1),
-            sign=sign,
-            weight=self.map_usable(signals.weight),
-        )
+        states = states.reshape(len(states), -1)
+        weight = self.map_usable(signals.weight)
+        return replace(signals, states=states, sign=sign, weight=weight)
 
 
 def _map(values, matrix):
@@ -154,10 +151,8 @@ def filter_signals(q, tau, dt, parts, usable):
     if not inner:
         return None
     # Joint by joint, which needs less memory.
-    joints = [
-        _joint_signals(*channels, dt, inner, smooth, lowpass)
-        for channels in zip(q.T, tau.T, usable.T)
-    ]
+    joints = zip(q.T, tau.T, usable.T)
+    joints = [_joint_signals(*x, dt, inner, smooth, lowpass) for x in joints]
     q, v, a, *channels = np.stack(joints, axis=2)
     row = np.concatenate([p.start + lowpass.centres(p.stop - p.start) for p in inner])
     recording = np.searchsorted([p.stop for p in parts], row, side="right")
@@ -383,12 +378,10 @@ def judge(reading, change, required=None, *, variants=1, **attributes):
     if fit is None or not (change.joints or change.changes_motion):
         return None
     required = clear(change) if required is None else required
-    return Proposal(
-        **{"joints": change.joints, "change": change} | attributes,
-        log_odds=fit.evidence - baseline.evidence - np.log(max(variants, 1)),
-        fall=fit.fall(baseline),
-        clear=fit.fall(baseline) >= required,
-    )
+    odds = fit.evidence - baseline.evidence - np.log(max(variants, 1))
+    attributes = {"joints": change.joints, "change": change} | attributes
+    fall = fit.fall(baseline)
+    return Proposal(log_odds=odds, fall=fall, clear=fall >= required, **attributes)
 
 
 def most_likely(reading, changes):

@@ -1,7 +1,4 @@
-"""Checks of the rows of a log that need hardly any robot model.
-
-Most faults are runs of rows in which a channel is constant although the robot moves.
-"""
+"""Checks of the rows of a log that need hardly any robot model."""
 
 import functools
 from itertools import combinations, pairwise
@@ -124,7 +121,8 @@ def _check_wraps(log):
     revolute = np.flatnonzero(log.revolute).tolist()
     widest = max((np.ptp(log.q[:, j]) for j in revolute), default=0.0)
     # Degrees and encoder counts may be wrapped, too.
-    counts = 2.0 ** np.ceil(np.log2(max(widest, 1.0)))
+    least = 1.0 if widest <= 1.0 else number.FEWEST_COUNTS
+    counts = 2.0 ** np.ceil(np.log2(max(widest, least)))
     for turn, text in ((2 * np.pi, "2 pi"), (360.0, "360"), (counts, f"{counts:.0f}")):
         jumps = {j: _find_wraps(log, log.q[:, j], turn) for j in revolute}
         jumps = {j: rows for j, rows in jumps.items() if rows.size}
@@ -132,13 +130,32 @@ def _check_wraps(log):
             continue
         log.q = log.q.copy()
         for j in jumps:
-            for part in log.parts:
-                x = np.unwrap(log.q[part, j], period=turn)
-                # Each recording may begin in a different turn.
-                log.q[part, j] = x - turn * np.round(x.mean() / turn)
+            log.q[:, j] = _unwrapped(log, log.q[:, j], turn)
         rows = np.concatenate(list(jumps.values()))
         facts = {"count": rows.size, "row": log.rows[rows.min()], "turn": text}
         log.report("wrapped_position", list(jumps), "error", **facts)
+
+
+def _check_overflows(log):
+    """Find torques that jump by a constant span between their extremes."""
+    for j in np.flatnonzero(log.usable.any(axis=0)):
+        x, span = log.tau[:, j], np.ptp(log.tau[:, j])
+        rows = _find_wraps(log, x, span)
+        # Outliers begin far from the other extreme, and without its jumps by twice the
+        # friction, a torque has a small range.
+        step = np.median(np.abs(log.steps(x)[rows])) if rows.size > 1 else 0.0
+        is_full = step > (1 - number.EDGE) * span
+        if is_full and np.ptp(_unwrapped(log, x, span)) > number.WORST * span:
+            facts = {"count": rows.size, "row": log.rows[rows[0]], "span": span}
+            log.report("wrapped_torque", j, "error", **facts)
+            log.usable[:, j] = False
+
+
+def _unwrapped(log, x, turn):
+    """Return a channel (n,) without jumps by a full turn."""
+    pieces = [np.unwrap(x[part], period=turn) for part in log.parts]
+    # Each recording may begin in a different turn.
+    return np.concatenate([y - turn * np.round(y.mean() / turn) for y in pieces])
 
 
 def _find_wraps(log, x, turn):
@@ -325,9 +342,8 @@ def _check_constant(log):
     """Find torques that are constant or zero while their joints move."""
     largest, spread = np.abs(log.tau).max(axis=0), np.ptp(log.tau, axis=0)
     is_zero = largest < number.ZERO
-    joints = np.flatnonzero(
-        ~log.still & ((spread <= number.ROUNDING * largest) | is_zero)
-    )
+    constant = (spread <= number.ROUNDING * largest) | is_zero
+    joints = np.flatnonzero(~log.still & constant)
     if joints.size:
         values = (0.0 if is_zero[j] else log.tau[0, j] for j in joints)
         values = " or ".join(dict.fromkeys(f"{x:.6g}" for x in values))
@@ -341,17 +357,18 @@ def _check_torques(log):
         if _check_coarse(log, j, x):
             log.usable[:, j] = False
             continue
-        faulty = outlying(x) & ~log.held[j]
-        if faulty.any():
-            log.report("torque_outliers", j, "warning", log.runs(faulty))
-        if not log.held[j]:
-            faulty = faulty | _find_dropouts(log, j, x)
+        faulty = _mask(x, []) if log.held[j] else _find_dropouts(log, j, x)
+        outliers = outlying(x) & ~faulty & ~log.held[j]
+        if outliers.any():
+            log.report("torque_outliers", j, "warning", log.runs(outliers))
+        faulty |= outliers
         log.usable[:, j] &= ~(faulty | _find_clipped(log, j, x, log.moving & ~faulty))
 
 
 def _check_coarse(log, j, x):
     """Find a torque too coarsely quantised to show its shape."""
-    step = np.abs(log.steps(x))[log.moving]
+    # Zeros at the end of the range may be those of a lost sign.
+    step = np.abs(log.steps(x))[log.moving & ((x != 0) | (x.min() < 0 < x.max()))]
     changes = step[step > 0]
     if changes.size == 0:
         return False
@@ -374,8 +391,15 @@ def _find_dropouts(log, j, x):
     repeats = (step == 0) & ~log.first
     typical = np.median(step[step > 0]) if step.any() else 0.0
     required = max(number.DROPOUT_STEP * typical, number.LEAST_DROPOUT * x.std())
-    jumps, long, short = np.r_[step > required, False], [], []
-    for a, b in log.runs(repeats & log.rows_in_motion(log.q[:, [j]])):
+    jumps, long = np.r_[step > required, False], []
+    # A zero is lost amid values of the same sign, if no other value is as frequent.
+    moving, beyond = log.rows_in_motion(log.q[:, [j]]), np.pad(np.sign(x), 1)
+    zero = (x == 0) & moving
+    lost = zero & jumps[:-1] & jumps[1:] & (beyond[2:] * beyond[:-2] > 0)
+    _, sizes = np.unique(x[moving & ~zero], return_counts=True)
+    zero &= lost.sum() >= number.DENSITY * sizes.max(initial=1)
+    short = log.runs(zero)
+    for a, b in log.runs(repeats & moving & ~zero):
         # Runs at an extreme value are a limit. Short runs must begin and end with a
         # jump, as torques also stay at zero if they pass it slowly.
         if b - a + 2 >= number.STUCK_RUN and x[b] not in (x.min(), x.max()):
@@ -426,10 +450,14 @@ def _find_clipped(log, j, x, moving):
     # must be longer at the limit than elsewhere.
     rare, between = repeats.mean() < 0.25, np.minimum(x.max() - x, x - x.min()) > width
     usual = max((b - a + 2 for a, b in log.runs(repeats & moving & between)), default=0)
-    # Zero is no limit of a drive: absolute values, or lost readings.
-    for level in {x.max(), x.min()} - {0.0}:
+    for level in {x.max(), x.min()}:
         distance = np.abs(x - level)
         close = (distance <= width) & moving
+        if level == 0:
+            # Zero is no limit of a drive: one sign was lost, unless the joint is at
+            # rest, values are absolute, or some readings were lost.
+            close &= log.rows_in_motion(log.q[:, [j]])
+            close &= close.mean() > number.STUCK_REPEATS
         runs = [x for x in log.runs(close) if x[1] - x[0] + 1 >= number.PLATEAU_RUN]
         span = max((b - a + 1 for a, b in runs), default=0)
         near = ((distance > width) & (distance <= 6 * width) & moving).sum() / 5
@@ -445,7 +473,9 @@ def _find_clipped(log, j, x, moving):
         if len(limits) == 2 and np.isclose(limits[0], -limits[1], rtol=number.PLATEAU):
             where = f"+-{max(limits):.4g}"
         severity = "warning" if clipped.mean() > number.MANY_CLIPPED else "note"
-        log.report("clipped_torque", j, severity, sorted(plateaus), where=where)
+        kind = "unsigned_torque:half" if 0.0 in limits else "clipped_torque"
+        severity = "error" if 0.0 in limits else severity
+        log.report(kind, j, severity, sorted(plateaus), where=where)
     return clipped
 
 
@@ -516,12 +546,11 @@ def _find_stuck(log, j, stands):
 
 def disorder(names, q, parts):
     """Find positions (n, nv) out of time order, or else jumps between recordings."""
-    jumps = []
     # Column-major order, since signals are processed one by one.
-    q = np.asfortranarray(q)
+    jumps, q = [], np.asfortranarray(q)
     for j, x in enumerate(q.T):
         jumps += _jump_findings(names, j, x, _find_jumps(x, parts), range(len(q)))
-    borders = [x for x in jumps if x.severity == "warning"]
+    borders = [x for x in jumps if x.severity != "note"]
     return shuffled_rows(names, q, parts) or borders
 
 
@@ -544,7 +573,9 @@ def _find_jumps(x, parts):
         is_jump = (excess > number.OUTLIER * scale) & (excess > least)
         is_jump &= excess > 2.5 * np.abs(expected)
         jumps += list(part.start + 4 + np.flatnonzero(is_jump))
-    return jumps if len(jumps) <= number.MOST_OUTLIERS * x.size else []
+    # Many jumps far beyond the resolution are between blocks of rows.
+    far = len(jumps) and np.median(np.abs(np.diff(x)[np.array(jumps) - 1])) > 10 * least
+    return jumps if far or len(jumps) <= number.MOST_OUTLIERS * x.size else []
 
 
 def _jump_findings(names, j, x, jumps, rows):
@@ -553,8 +584,11 @@ def _jump_findings(names, j, x, jumps, rows):
         return []
     # A single wrong sample is a jump there and back.
     sizes = np.array([x[k] - x[k - 1] for k in jumps])
-    severity = "note" if abs(sizes.sum()) < 0.5 * abs(sizes[0]) else "warning"
+    pairs = np.add.reduceat(sizes, range(0, len(sizes), 2))
+    severity = "note" if abs(pairs).max() < 0.5 * abs(sizes[0]) else "warning"
     facts = {"count": len(jumps), "step": sizes[0], "row": rows[jumps[0]]}
+    if severity == "warning" and len(jumps) >= number.FEWEST_STEPS:
+        return [finding("shuffled_rows:blocks", names, j, "error", **facts)]
     return [finding("position_jumps", names, j, severity, **facts)]
 
 
@@ -611,8 +645,8 @@ def contradicted(recording, errors, size):
 def _check_copies(log):
     """Find equal positions, and torques that are equal up to a factor."""
     # Positions may be proportional, as joints may have similar reference motions.
-    for what, values in (("position", log.q), ("torque", log.tau)):
-        share = 0 if what == "position" else number.COPY
+    pairs = ("position", log.q, 0.0), ("torque", log.tau, number.COPY)
+    for what, values, share in pairs:
         centred = values - values.mean(axis=0)
         square, copies = (centred**2).sum(axis=0), set()
         varying = np.flatnonzero((np.ptp(values, axis=0) > 0) & (square > 0))
@@ -632,6 +666,7 @@ CHECKS = (
     _check_held,
     _check_lost_rows,
     _check_constant,
+    _check_overflows,
     _check_torques,
     _check_positions,
     _check_copies,

@@ -14,7 +14,7 @@ from sklearn_vbjfa.inspection._sentences import percent
 def weightless(reading):
     """Return joints whose torques do not contain the weight of the links."""
     robot = reading.robot
-    inertial, moving = robot.under_gravity(np.zeros(3)), robot.inertial_torques
+    inertial, moving = robot.under_gravity(np.zeros(3)), robot.floating.described
 
     def gain(joints):
         """Log odds of no weight on some joints; zero if springs explain it as well."""
@@ -42,19 +42,16 @@ def weightless(reading):
         odds = max(odds, gain(robot.joints.tolist()))
     # Mean forces of prismatic joints show a weight in any direction of gravity.
     pull = np.linalg.norm(robot.unit_weights, axis=-1)
-    offset, weight = (
-        np.linalg.norm(x.mean(axis=0)[reading.slides])
-        for x in (robot.signals.tau, pull)
-    )
+    means = [x.mean(axis=0)[reading.slides] for x in (robot.signals.tau, pull)]
+    offset, weight = np.linalg.norm(means, axis=1)
     if not affected or offset > number.SLIDE_LOAD * weight > 0:
         return None
     columns = np.stack([moving, robot.weight], axis=-1)
     mean = np.zeros_like(moving)
     fit = robot.fit(inertial, mean=mean, columns=columns, joints=affected)
     # A controller subtracts the described weight, not that of the true bodies.
-    weight_fit = robot.fit(
-        columns=robot.weight[:, :, None], deviation=1.0, joints=affected
-    )
+    weight = {"columns": robot.weight[:, :, None], "deviation": 1.0}
+    weight_fit = robot.fit(**weight, joints=affected)
     shares = fit.factors[1], 1.0 + weight_fit.factors[0]
     errors = number.INTERVAL * np.array([fit.errors[1], weight_fit.errors[0]])
     share, error = min(zip(shares, errors), key=lambda x: abs(x[0]))
@@ -66,20 +63,33 @@ def weightless(reading):
     facts["part"] = "only a part of the weight" if is_part else "no weight"
     if len(loaded) == 1:
         facts["other"] = " Or a spring balances it, or the base is mounted otherwise."
-    return Proposal(
-        joints=tuple(affected),
-        log_odds=odds,
-        kind="no_gravity:joints" if len(affected) < len(loaded) else "",
-        severity="warning" if len(affected) < max(2, len(loaded)) else "",
-        facts=facts,
-    )
+    options = {"kind": "no_gravity:joints" * (len(affected) < len(loaded))}
+    options["severity"] = "warning" * (len(affected) < max(2, len(loaded)))
+    return Proposal(joints=tuple(affected), log_odds=odds, facts=facts, **options)
+
+
+def unloaded_slides(reading):
+    """Return prismatic joints whose forces lack a weight that is constant."""
+    robot, lacking = reading.robot, {}
+    for j in robot.joints[reading.slides[robot.joints]].tolist():
+        rows, load = robot.rows[j], robot.weight[:, j].mean()
+        force = (robot.signals.tau - robot.floating.described)[rows, j]
+        offset = np.linalg.lstsq(robot.friction(j)[rows, :4], force)[0][3]
+        # In another unit, a weight would still exceed the other forces.
+        least = max(number.SLIDE_LOAD * force.std(), abs(offset) / number.NO_WEIGHT)
+        if abs(load) > least and abs(offset) < force.std():
+            lacking[j] = f"{reading.names[j]} {load:.3g} N"
+    if not lacking or reading.gains is not None:
+        return None
+    kind, facts = "no_gravity:slides", {"each": ", ".join(lacking.values())}
+    return Proposal(joints=tuple(lacking), log_odds=np.inf, kind=kind, facts=facts)
 
 
 def gravity_only(reading):
     """Return torques that contain only the weight of the links."""
     robot = reading.robot
-    columns = np.stack([robot.inertial_torques, robot.weight], axis=-1)
-    fit = robot.fit(mean=np.zeros_like(robot.inertial_torques), columns=columns)
+    columns = np.stack([robot.floating.described, robot.weight], axis=-1)
+    fit = robot.fit(mean=np.zeros_like(robot.floating.described), columns=columns)
     error = number.INTERVAL * fit.errors
     inertia, weight = fit.factors
     unclear = abs(inertia) + error[0] > number.NO_WEIGHT or weight < error[1]
@@ -133,17 +143,12 @@ def base_orientation(reading):
         return None
     improvement = chosen.fall(robot.baseline)
     angle = float(np.arccos(np.clip(pull @ start / size**2, -1, 1)))
-    return Proposal(
-        change=Change(gravity=9.81 * pull),
-        joints=reading.every,
-        log_odds=odds,
-        fall=improvement,
-        clear=angle > number.TURNED and improvement >= number.CLEAR * len(loaded),
-        facts={
-            "angle": np.degrees(angle),
-            "pull": ", ".join(f"{x:.2f}" for x in pull / size),
-        },
-    )
+    facts = {"angle": np.degrees(angle)}
+    facts["pull"] = ", ".join(f"{x:.2f}" for x in pull / size)
+    is_clear = angle > number.TURNED and improvement >= number.CLEAR * len(loaded)
+    options = {"log_odds": odds, "fall": improvement, "clear": is_clear, "facts": facts}
+    change = Change(gravity=9.81 * pull)
+    return Proposal(change=change, joints=reading.every, **options)
 
 
 def _loaded(robot, weight):
@@ -271,16 +276,11 @@ def external_force(reading):
     begin, end = ends * reading.dt
     where = "after the start" if len(stops) == 1 else f"of recording {k + 1}"
     joints = robot.joints[pushed]
-    each = zip(joints, torques.mean(axis=0)[pushed], reading.slides[joints])
-    forces = [
-        f"{reading.names[j]} {torque:+.2g} {'N' if slides else 'N m'}"
-        for j, torque, slides in each
-    ]
-    return Proposal(
-        joints=tuple(joints.tolist()),
-        log_odds=odds,
-        facts={"begin": begin, "end": end, "where": where, "pushes": ", ".join(forces)},
-    )
+    units = np.where(reading.slides[joints], "N", "N m")
+    each = zip(joints, torques.mean(axis=0)[pushed], units)
+    forces = [f"{reading.names[j]} {x:+.2g} {unit}" for j, x, unit in each]
+    facts = {"begin": begin, "end": end, "where": where, "pushes": ", ".join(forces)}
+    return Proposal(joints=tuple(joints.tolist()), log_odds=odds, facts=facts)
 
 
 def _contact_interval(robot):

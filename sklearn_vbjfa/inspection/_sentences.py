@@ -34,8 +34,12 @@ SENTENCES = {
     "positions change by {change:.2g} times their spread in a row. Sort them by time "
     "(no shuffle), and keep those of one robot. "
     "Of single poses `sklearn-vbjfa identify --for gravity` corrects the masses.",
+    "shuffled_rows:blocks": "The position of {who} jumps {count} time(s), first to row "
+    "{row}: blocks of rows are out of order. Sort them, or split them there (groups).",
     "wrapped_position": "The position of {who} is wrapped: it jumps by {turn} {count} "
     "time(s), first to row {row}. Unwrap each recording for itself (numpy.unwrap).",
+    "wrapped_torque": "The torque of {who} jumps by {span:.4g} {count} time(s), first "
+    "to row {row}: its integers overflow. Log wider ones, or unwrap it (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "
     "{mean:.4g}, which is its noise. Name the others in --joints, or record it moving.",
     "still_joint:all": "No joint moves: positions vary by {range:.3g} at most, within "
@@ -133,6 +137,9 @@ SENTENCES = {
     "torque_factors": "The torques have different factors against what the described "
     "masses require ({each}): motor currents, or shares of each joint's rated torque. "
     'Give the factors to N m (gains), or gains="unknown".',
+    "driving_friction": "By the torques, friction drives {who} instead of braking: "
+    "{reverse}friction was subtracted from the torques, twice or with the wrong sign. "
+    "Log the measured torques, in the order of time.",
     "mixed_torques": "The torques of {who} contain those of other joints, as of "
     "cables or a differential ({evidence}). Replace them by combinations of the logged "
     "ones [N m or N]: {each}.",
@@ -150,12 +157,21 @@ SENTENCES = {
     "unsigned_torque": "The torques of {who} have one sign only, and signs that change "
     "explain them better, as of unsigned currents. Give "
     "drive=CurrentDrive(signed=False), which finds the signs.",
+    "unsigned_torque:half": "The torque of {who} has one sign only and is zero in "
+    "{share} of its samples amid the motion: the other one was lost. Log signed ones.",
     "no_gravity": "The torques contain {part} of the links: the factor of gravity "
     "is {share:.2f} ± {error:.2f} (described weight: up to {heavy:.3g} N m on "
     "{who}).{other} Log the torques before the controller subtracts gravity.",
+    "no_gravity:unit": "The torques contain no weight of the links, and are "
+    "{factor:.3g} ({low:.2g} to {high:.2g}) times the described ones: motor currents "
+    "or another unit than N m{inside}. Log them before the controller subtracts "
+    "gravity, and give the factor to N m (gains={gain:.3g}, times those given before).",
     "no_gravity:joints": "The torques of {who} contain no weight of the links "
     "({evidence}; described weight: up to {heavy:.3g} N m), those of other joints do. "
     "Log them before the controller subtracts gravity.",
+    "no_gravity:slides": "The mean force lacks the described weight ({each}): the "
+    "controller subtracts it, or a counterbalance carries it. Log the forces before it "
+    "is subtracted, or correct the description.",
     "gravity_only": "The torques contain the weight of the links alone: the factor of "
     "their inertia is {part:.2f} ± {error:.2f}. Log the torques of the motors, not a "
     "model of gravity.",

@@ -1,5 +1,7 @@
 """Hypotheses on torques: signs, scale, noise; torques that were not measured."""
 
+from copy import copy
+
 import numpy as np
 import scipy
 
@@ -66,15 +68,11 @@ def signs(reading):
     hidden = [j for j in joints if j not in decided] if joints == reading.every else []
     hidden = listed_joints(reading.names, hidden) if nv > 1 else ""
     note = f" As all that show are wrong, so is the sign of {hidden}." if hidden else ""
-    signs = times(nv, -1.0, list(joints))
-    return Proposal(
-        change=Change(torques=signs),
-        joints=joints,
-        log_odds=scores[best].evidence - as_is.evidence - np.log(nv) * (len(best) == 1),
-        fall=scores[best].fall(as_is),
-        remedy={"gains": tuple(np.diagonal(signs).tolist())},
-        facts={"also": note},
-    )
+    signs, fit = times(nv, -1.0, list(joints)), scores[best]
+    odds = fit.evidence - as_is.evidence - np.log(nv) * (len(best) == 1)
+    options = {"log_odds": odds, "fall": fit.fall(as_is), "facts": {"also": note}}
+    options["remedy"] = {"gains": tuple(np.diagonal(signs).tolist())}
+    return Proposal(change=Change(torques=signs), joints=joints, **options)
 
 
 def _sign_odds(robot, j):
@@ -113,27 +111,48 @@ def torque_factors(robot, common):
     return factors, error, shown, more > error
 
 
-def common_scale(reading):
+def missing_weight(reading):
+    """Return the common factor of torques that contain no weight of the links."""
+    # Without gravity, or with the described weight subtracted.
+    subtracted = copy(reading.robot)
+    subtracted.described = reading.robot.floating.described
+    robots = reading.robot.floating, subtracted
+    return most_probable(common_scale(reading, robot) for robot in robots)
+
+
+def common_scale(reading, weightless=None):
     """Return the common factor of all torques against the described ones."""
-    factors, error, shown, _ = torque_factors(reading.robot, common=True)
+    # weightless: `DescribedRobot` of torques that contain no weight of the links.
+    robot = weightless or reading.robot
+    factors, error, shown, positive = torque_factors(robot, common=True)
     factor, error = float(factors[0]), float(error[0])
+    # A factor far from one needs less precision.
+    shown |= positive & (number.SIGMAS * error < abs(np.log(max(factor, 1e-300))))
     limit = number.COMMANDED if reading.commanded else number.SCALE
     if not shown or factor <= 0 or 1 / limit < factor < limit:
         return None
-    low, high = factor * np.exp([-error, error])
-    units, robot = _matching_units(factor, error), reading.robot
+    (low, high), units = (
+        factor * np.exp([-error, error]),
+        _matching_units(factor, error),
+    )
+    baseline = reading.robot.baseline.evidence
+    fit = robot.fit(mean=factor * robot.described, spread=factor)
+    log_odds, kind = fit.evidence - baseline, ""
+    change = Change(torques=times(reading.nv, 1 / factor))
+    if weightless:
+        # As for the weight alone, springs may explain that it is missing.
+        scaled = reading.robot_after(change)
+        springs = max(scaled.springs, 0.0) + scaled.baseline.evidence
+        if log_odds + baseline - springs <= number.DECISIVE:
+            return None
+        change, kind = None, "no_gravity:unit"
     facts = {"factor": factor, "low": low, "high": high, "gain": 1 / factor}
     facts["inside"] = f" ({units} would be inside)" if units else ""
     facts["unknown"] = ', or gains="unknown"' * (reading.nv > 1 and not reading.poses)
     facts["free"] = "correct the description" if reading.poses else 'use bodies="free"'
-    return Proposal(
-        change=Change(torques=times(reading.nv, 1 / factor)),
-        joints=reading.every,
-        log_odds=robot.fit(scale=factor).evidence - robot.baseline.evidence,
-        kind="gear_factor:commanded" if reading.commanded else "",
-        value=factor,
-        facts=facts,
-    )
+    kind = "gear_factor:commanded" if reading.commanded else kind
+    options = {"kind": kind, "value": factor, "facts": facts}
+    return Proposal(change=change, joints=reading.every, log_odds=log_odds, **options)
 
 
 def _matching_units(factor, error):
@@ -196,12 +215,20 @@ def beyond_limits(reading):
     identical = np.unique(limit[limited]).size < 2
     if identical or np.median(ratios) < number.BEYOND_LIMITS:
         return None
-    return Proposal(
-        joints=tuple(np.flatnonzero(limited).tolist()),
-        log_odds=np.inf,
-        kind="torque_unit:limits",
-        facts={"most": np.median(ratios)},
-    )
+    joints, kind = tuple(np.flatnonzero(limited).tolist()), "torque_unit:limits"
+    facts = {"most": np.median(ratios)}
+    return Proposal(joints=joints, log_odds=np.inf, kind=kind, facts=facts)
+
+
+def driving_friction(reading):
+    """Return the joints whose friction accelerates them by the torques."""
+    # Early torques, which are tested as a lag, have the same effect.
+    robot = reading.robot
+    fits = robot.baseline, robot.fit(columns=-robot.signals.slope[:, :, None])
+    drives = np.all([fit.power < -number.SIGMAS for fit in fits], axis=0)
+    reverse = "the rows are in reverse order of time, or " * bool(drives.all())
+    joints, facts = tuple(robot.joints[drives].tolist()), {"reverse": reverse}
+    return Proposal(joints=joints, log_odds=np.inf, facts=facts) if joints else None
 
 
 def mixed_torques(reading):

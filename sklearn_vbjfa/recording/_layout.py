@@ -70,9 +70,7 @@ class ReadOptions:
                     f"{name} must be one of {', '.join(allowed)}; got {value!r}."
                 )
         if self.preset is not None and self.mapping:
-            raise ValueError(
-                "give columns or a preset, not both: a preset is a mapping."
-            )
+            raise ValueError("give columns or a preset, not both: both map columns.")
         if self.drive is not None and self.gains is not None:
             raise ValueError(
                 "gains are factors of columns of torques, and a drive has its own: "
@@ -112,12 +110,8 @@ class ReadOptions:
         # Numbered columns follow the order of joints in the description file, where a
         # child joint may precede its parent.
         file_names = tuple(name for name in self._movable if name in in_model)
-        return Robot(
-            names=names or file_names,
-            explicit=bool(names),
-            in_model=in_model,
-            prismatic=models.is_prismatic(model),
-        )
+        known = {"in_model": in_model, "prismatic": models.is_prismatic(model)}
+        return Robot(names=names or file_names, explicit=bool(names), **known)
 
     @property
     def recorded(self):
@@ -247,9 +241,8 @@ def _with_joint_names(roles, names, kinds):
     """Replace joint numbers of roles of some kinds by joint names."""
     from_zero = any(x.key == 0 for x in roles if x.kind in kinds)
     names = dict(enumerate(names, start=0 if from_zero else 1))
-    return [
-        replace(x, key=names.get(x.key, x.key)) if x.kind in kinds else x for x in roles
-    ]
+    keys = [names.get(x.key, x.key) if x.kind in kinds else x.key for x in roles]
+    return [replace(x, key=key) for x, key in zip(roles, keys)]
 
 
 def _listed_joint_names(table, joints, n):
@@ -265,7 +258,7 @@ def _listed_joint_names(table, joints, n):
         names = [str(name) for entries in lists for name in entries]
         if len(names) == 1:
             # A single cell holds a list as printed by Python.
-            names = re.findall(r"[^\s\[\](),'\"]+", names[0])
+            names = re.findall(r"[^\s\[\](),;|'\"]+", names[0])
         is_list = {*joints} & {*names} if joints else _NAMES_TITLE.fullmatch(title)
         if not is_list or not len({*names}) == len(names) >= n:
             continue
@@ -282,9 +275,8 @@ def _listed_joint_names(table, joints, n):
 
 def _assign_columns(table, options, robot):
     """Assign columns to channels by a mapping, by names or by a preset."""
-    named = assign_by_name(
-        table, (*robot.names, *table.joints), options.kinds, options.drive
-    )
+    joints = *robot.names, *table.joints
+    named = assign_by_name(table, joints, options.kinds, options.drive)
     if options.mapping:
         if options.drive is not None:
             named = _match_preset(table, options, robot, named) or named
@@ -406,10 +398,8 @@ def _columns_at(pattern, unit, table, kind):
     columns = [str(k) for k in range(int(match[1]), int(match[2] or match[1]) + 1)]
     if not {*columns} <= {*table.frame}:
         return []
-    return [
-        Role(kind=kind, key=k, column=x, unit=unit)
-        for k, x in enumerate(columns, start=1)
-    ]
+    numbered = enumerate(columns, start=1)
+    return [Role(kind=kind, key=k, column=x, unit=unit) for k, x in numbered]
 
 
 def _apply_mapping(table: Table, mapping: dict, named: Layout) -> Layout:
@@ -464,24 +454,18 @@ def _match_log(table, log, named, robot, recorded):
     motors = [[x for x in robot.names if part in x] for part in log.motors]
     has_motors = len(motors) == len(robot.names) and all(len(x) == 1 for x in motors)
     names = [x for (x,) in motors] if has_motors and not robot.explicit else ()
-    roles = [
-        role
-        for kind, roles in hits.items()
-        if kind in ("q", first) or shared <= keys[kind]
-        for role in roles
+    kept = [
+        x for kind, x in hits.items() if kind in ("q", first) or shared <= keys[kind]
     ]
-    roles = _with_joint_names(roles, names, hits)
+    roles = _with_joint_names([role for x in kept for role in x], names, hits)
     if log.segment in table.frame:
         roles.append(Role(kind="segment", column=log.segment))
     times = [match_pattern(name, table, "t") for name in log.times]
     times = [replace(x[0], unit=x[0].unit or "s") for x in times if len(x) == 1]
     no_signals = re.compile("|".join(log.no_signals) or "$.")
-    return Layout(
-        roles=(*roles, *(times or named.select("t"))),
-        no_signals=frozenset(filter(no_signals.fullmatch, table.frame)),
-        what=log.what,
-        certain=True,
-    )
+    roles = *roles, *(times or named.select("t"))
+    unused = frozenset(filter(no_signals.fullmatch, table.frame))
+    return Layout(roles=roles, no_signals=unused, what=log.what, certain=True)
 
 
 def refuse_ambiguous(table, first, other):

@@ -73,6 +73,15 @@ FAULTS = {
     "never written": ("constant_torque", None, lambda q, y, w: (q, 1e-310 * y)),
     "outliers": ("torque_outliers", (2,), lambda q, y, w: (
         q, replaced(y, slice(None, None, 50), 2, y[::50, 2] + 20 * y[:, 2].std()))),
+    "lost readings": ("torque_dropouts", (2,), lambda q, y, w: (
+        q, replaced(y, slice(None, None, 50), 2, 0.0))),
+    "one sign lost": ("unsigned_torque", (2,), lambda q, y, w: (
+        q, replaced(y, EVERY, 2, np.maximum(y[:, 2], 0.0)))),
+    "overflow": ("wrapped_torque", (1,), lambda q, y, w: (
+        q, replaced(y, EVERY, 1, (y[:, 1] + 110.0) % 220.0 - 110.0))),
+    "backwards": ("driving_friction", None, lambda q, y, w: (q[::-1], y[::-1])),
+    "blocks": ("shuffled_rows position_jumps", (0,), lambda q, y, w: (
+        q.reshape(40, -1, 6)[::-1].reshape(-1, 6), y)),
     "before the log": ("empty_rows", None, lambda q, y, w: (
         replaced(q, slice(100), EVERY, 0.0), replaced(y, slice(100), EVERY, 0.0))),
     "drives off": ("empty_rows", None, lambda q, y, w: (
@@ -220,10 +229,10 @@ def built(axes, gravity=(0.0, 0.0, -9.81), *, seed=2, perturbation=0.1):
 
 
 def test_prismatic_joints_show_missing_or_rotated_gravity():
-    # A constant force of a prismatic joint may also be an offset.
-    model, made, weight, _ = built(GANTRY)
-    kinds, _ = faults_of((made, model, weight), tau=made.tau - weight)
-    assert kinds == ["no_gravity"]
+    for axes in (SCARA, GANTRY):
+        model, made, weight, _ = built(axes)
+        kinds, _ = faults_of((made, model, weight), tau=made.tau - weight)
+        assert kinds == ["no_gravity"]
     *made, tau = built(GANTRY, (6.0, 5.0, -6.0))
     kinds, _ = faults_of((made[1], model, weight), tau=tau)
     assert kinds == ["base_orientation"]
@@ -236,10 +245,10 @@ def test_base_orientation_with_an_unloaded_prismatic_joint(gravity):
     assert kinds == ["base_orientation"]
 
 
-@pytest.mark.parametrize("axes", [PALLETISER, SEVEN])
-def test_missing_gravity_is_not_reported_as_wrong_sample_period(axes):
+@pytest.mark.parametrize(("axes", "unit"), [(PALLETISER, 1), (SEVEN, 100)])
+def test_missing_gravity_is_not_reported_as_wrong_sample_period(axes, unit):
     model, made, weight, _ = built(axes, seed=3, perturbation=0.3)
-    kinds, _ = faults_of((made, model, weight), tau=made.tau - weight)
+    kinds, _ = faults_of((made, model, weight), tau=unit * (made.tau - weight))
     assert kinds == ["no_gravity"]
 
 

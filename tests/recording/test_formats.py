@@ -244,11 +244,12 @@ def test_json_lines(ending, tmp_path):
 # -- lists within cells, recordings within a list --------------------------------------
 
 
-def test_lists_of_joint_states_in_csv_cells(tmp_path):
+@pytest.mark.parametrize("names", ["['hip', 'knee']", "hip;knee"])
+def test_lists_of_joint_states_in_csv_cells(names, tmp_path):
     columns, arrays = matrices()
     lines = ["time,name,position,effort"]
     for t, q, tau in zip(arrays["t"], arrays["q"], arrays["tau"]):
-        lines.append(f"""{t:.6f},"['hip', 'knee']","{list(q)}","{list(tau)}\"""")
+        lines.append(f"""{t:.6f},"{names}","{list(q)}","{list(tau)}\"""")
     path = tmp_path / "arm.csv"
     path.write_text("\n".join(lines) + "\n")
     with pytest.warns(UserWarning, match="taken as /joint_states as a table"):

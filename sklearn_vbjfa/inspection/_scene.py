@@ -73,7 +73,7 @@ def unloaded_slides(reading):
     robot, lacking = reading.robot, {}
     for j in robot.joints[reading.slides[robot.joints]].tolist():
         rows, load = robot.rows[j], robot.weight[:, j].mean()
-        force = (robot.signals.tau - robot.floating.described)[rows, j]
+        force = robot.signals.tau[rows, j]
         offset = np.linalg.lstsq(robot.friction(j)[rows, :4], force)[0][3]
         # In another unit, a weight would still exceed the other forces.
         least = max(number.SLIDE_LOAD * force.std(), abs(offset) / number.NO_WEIGHT)

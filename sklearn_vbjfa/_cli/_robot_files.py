@@ -41,19 +41,18 @@ def write_robot(robot, folder):
 def _write_parameters(robot, path):
     import pandas as pd
 
-    rows = [
-        (x.name, x.value, x.unit, std, x.source, x.described, math.nan)
-        for x, std in zip(parameter_values(robot), robot.theta_std_)
-    ]
+    rows, gains = [], robot.gains_
+    for x, std in zip(parameter_values(robot), robot.theta_std_):
+        unit = x.unit
+        if gains is not None and not gains.absolute and unit.startswith(("N", "kg")):
+            own = gains.references if x.joint is None else [gains.reference[x.joint]]
+            names = " or ".join(robot.joint_names_[j] for j in own) or "each channel"
+            unit += f", times the gain of {names}"
+        rows.append((x.name, x.value, unit, std, x.source, x.described, math.nan))
     for x in robot.alike_:
         name = f"{x.group}:{x.parameter}"
         rows.append((name, x.value, x.unit, x.std, "yes", math.nan, x.scatter))
     table = pd.DataFrame(rows, columns=_COLUMNS).replace([math.inf, -math.inf], None)
-    if robot.gains_ is not None and not robot.gains_.absolute:
-        names = [robot.joint_names_[j] for j in robot.gains_.references]
-        is_scaled = table["unit"].str.match("N|kg")
-        relative = f", times the gain of {' or '.join(names) or 'each channel'}"
-        table.loc[is_scaled, "unit"] += relative
     for name in ("parameter", "unit", "identifiable"):
         table[name] = table[name].map(escape_formula)
     table.to_csv(path, index=False, encoding="utf-8")

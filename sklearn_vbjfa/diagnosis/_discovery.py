@@ -59,8 +59,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     The estimator fits the declared model, adds viscous and Coulomb friction, offset and
     rotor inertia on every joint, and searches for the most probable set of further
-    effects. Errors are measured on held-out data; the completed model is then fitted to
-    all data.
+    effects. Errors are measured on held-out data; then the model is fitted to all data.
 
     Parameters
     ----------

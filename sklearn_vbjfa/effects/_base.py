@@ -73,8 +73,7 @@ class Effect(TransformerMixin, BaseEstimator):
     Attributes
     ----------
     name, label, formula : str
-        Name, the same for all joints; name in reports, by default `name`; added torque
-        in LaTeX.
+        Name, the same for all joints; name in reports; added torque in LaTeX.
     coefficients, units : tuple
         Symbols of the linear coefficients, one for each column, and their units, each
         for a revolute and for a prismatic joint.
@@ -132,6 +131,7 @@ class Effect(TransformerMixin, BaseEstimator):
     terms: tuple = ()
     files = InFiles()
     alike = False
+    simple = False  # whether a search prefers this shape to others that do as well
 
     def __init_subclass__(cls, **kwargs):
         super().__init_subclass__(**kwargs)

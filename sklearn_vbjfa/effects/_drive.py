@@ -65,10 +65,10 @@ class ToAnother(Shaped):
 class Coupling(ToAnother):
     """Friction and inertia due to the motion of a second joint.
 
-    tau = Fvm w + Fcm sign(w) + Iam dw/dt, where w is the other joint's velocity plus
-    ratio times its own: drives in series through a differential or coupled wrist
-    (ratio 1 or -1), or a tendon over both joints. Source: Gautier, Janot and Vandanjon
-    (2013), wrist of the Staubli TX40, :doi:`10.1109/TCST.2012.2185697`.
+    tau = Fvm v_k + Fcm sign(w) + Iam a_k of the other joint k, w = v_k + ratio v: a
+    differential or coupled wrist (ratio 1 or -1), or a tendon over both joints. Parts
+    due to the joint's own speed are in its friction and rotor inertia. Source: Gautier,
+    Janot and Vandanjon (2013), Staubli TX40, :doi:`10.1109/TCST.2012.2185697`.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Coupling(ToAnother):
 
     name = "coupling"
     label = "coupling to another joint"
-    formula = r"F_{vm}\,w + F_{cm}\,\mathrm{sign}(w) + I_{am}\,\dot w"
+    formula = r"F_{vm}\,v_k + F_{cm}\,\mathrm{sign}(w) + I_{am}\,a_k"
     shape_units = (("ratio", RATIO),)
     coarse = ("ratio",)
     coefficients = ("Fvm", "Fcm", "Iam")
@@ -96,6 +96,9 @@ class Coupling(ToAnother):
     def continuous(self):
         return () if self.ratio in _PLAIN else ("ratio",)
 
+    # Without dry friction, the ratio has no effect.
+    simple = property(lambda self: self.ratio == 0)
+
     def excludes(self):
         ratios = (1.0, -1.0, _RATIOS[0]) if self.ratio else (0.0,)
         return {clone(self).set_params(ratio=ratio).key() for ratio in ratios}
@@ -106,14 +109,14 @@ class Coupling(ToAnother):
 
         def torque(state):
             w, dw = state.v[k] + ratio * state.v[j], state.a[k] + ratio * state.a[j]
-            return w, sign(w, dw), dw
+            return state.v[k], sign(w, dw), state.a[k]
 
         return torque
 
     def simulated(self, table, Fvm, Fcm, Iam):
         j, k, ratio = self.joint, self.other, self.ratio
-        table.coupling[j, [k, j]] += Fvm, ratio * Fvm
-        table.inertia[j, [k, j]] += Iam, ratio * Iam
+        table.coupling[j, k] += Fvm
+        table.inertia[j, k] += Iam
         # The sign is smoothed over the speeds at which both joints may be sticking:
         # friction of a sum of velocities does not hold a single joint.
         slow = table.slow(k) + abs(ratio) * table.slow(j)

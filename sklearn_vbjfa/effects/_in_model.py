@@ -71,8 +71,7 @@ class InModel(Effect):
 
     The `coefficients` are parameters of ``__init__``: the present values. The columns
     are the derivatives of the torque by them; a fitted coefficient is a correction.
-    `RobotIdentifier` iterates these corrections, so that ``theta_`` contains the values
-    themselves.
+    `RobotIdentifier` iterates these corrections, and ``theta_`` has the values.
 
     Attributes
     ----------

@@ -145,8 +145,7 @@ class MaxwellSlip(Shaped, Converted, Bank):
     displacements : tuple of float, default=(0.001, 0.01, 0.1)
         Displacements [rad or m] at which elements of constant size slip.
     loaded : tuple of float, default=()
-        Displacements of elements whose size is proportional to the load,
-        mu_k abs(tau_load).
+        Displacements of elements of size mu_k abs(tau_load), proportional to the load.
     falling : tuple of float, default=()
         Displacements of elements S_k whose level falls with speed, from 2 to 1.
     vs : float, default=0.1

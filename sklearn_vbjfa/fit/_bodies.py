@@ -194,8 +194,7 @@ def little_learned(std, prior_std):
 class Site:
     """Gaussian approximation of the prior of a body, or of joints with one drive."""
 
-    # Its precision, the product of precision and mean, and the RMS of its posterior
-    # scale.
+    # Its precision, product of precision and mean, and the RMS of its posterior scale.
 
     precision: np.ndarray
     right: np.ndarray

@@ -169,8 +169,7 @@ def estimate(
 def plain_estimate(moments, joint_weights="auto", bodies=None):
     """Estimate by weighted least squares, corrected for input noise."""
     # The covariance is inflated for residuals correlated in time. bodies:
-    # `BodyPosterior` whose prior is added without adapting its scales, or None.
-    # Returns a `PlainEstimate`.
+    # `BodyPosterior` whose prior is added, or None. Returns a `PlainEstimate`.
     weight = resolve_weights(joint_weights, moments)
     if isinstance(joint_weights, str):
         limit = np.full(weight.size, np.inf)
@@ -264,9 +263,8 @@ def uninflated_covariance(result):
 
 def with_prior(result, indices, shift, reduction, precision, right):
     """Return an `Estimate` with a prior on k parameters; all others are conditioned."""
-    # shift (k,), reduction (k, k): change of their mean, and decrease of their
-    # covariance before inflation; precision (k, k), right (k,): of the prior, and its
-    # product with the mean.
+    # shift (k,), reduction (k, k): change of mean, and decrease of covariance before
+    # inflation; precision (k, k), right (k,): of the prior, product with its mean.
     C, ratio = uninflated_covariance(result)
     gain = scaled_eigen(C[np.ix_(indices, indices)]).solve(C[indices]).T
     theta = result.theta_unconstrained + gain @ shift

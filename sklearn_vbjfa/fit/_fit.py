@@ -52,7 +52,7 @@ from sklearn_vbjfa.fit._output_error import refine
 from sklearn_vbjfa.fit._pooling import pool_joint_values, with_positive_rotors
 from sklearn_vbjfa.recording import Recording, check_delay, take_rows
 from sklearn_vbjfa.robot._channels import ChannelGains
-from sklearn_vbjfa.robot._posterior import body_indices, known_parameters
+from sklearn_vbjfa.robot._posterior import body_indices, joint_mask, known_parameters
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 
 
@@ -423,6 +423,10 @@ def iterate_corrections(recipe, fit, source, relative):
             std[columns[relative.references]] = 0.0
             units = robot.parameter_units_
             std = common.widened(theta, std, units, columns, gain_covariance)
+        # All parameters of a joint depend on its gain.
+        vague = relative.vague(theta[columns], std[columns])
+        lost = joint_mask(robot, vague)
+        std[lost], std[columns[vague]], identified[lost] = np.inf, np.nan, False
         gain_std = std[columns]
         if common.factor is None:
             gain_std[relative.references] = 0.0
@@ -578,7 +582,9 @@ class ModelValues:
         with np.errstate(invalid="ignore"):
             tolerance = np.maximum(CONVERGED * self.std, _ROUNDING * (high - low))
             moves = np.abs(self.step) > tolerance
-        below, above = (np.concatenate(x) for x in zip(*map(_at_bounds, in_model)))
+        margin = _BOUND_MARGIN * (high - low)
+        values = np.concatenate([effect.values for effect in in_model])
+        below, above = values < low + margin, values > high - margin
         outward = (below & (self.step < 0)) | (above & (self.step > 0))
         return not (moves & ~outward).any()
 
@@ -624,13 +630,6 @@ class ModelValues:
                 effect = effect.linearised_at(_bounded_step(effect, step))
             effects.append(effect)
         return tuple(effects)
-
-
-def _at_bounds(effect):
-    """Return which values are at their lower and upper bounds, two arrays (k,)."""
-    low, high = effect.bounds()
-    margin = _BOUND_MARGIN * (high - low)
-    return effect.values < low + margin, effect.values > high - margin
 
 
 def _bounded_step(effect, step):
@@ -764,8 +763,7 @@ def jump(dry, inertia, damping, stiffness, cutoff):
 
 def _torque_jumps(torques, robot, source):
     """Return half of the jump (nv,) of each torque (n, nv) at velocity reversals."""
-    # Least squares on the sign of the velocity, after subtracting the smoothed signals
-    # from both.
+    # Least squares on the sign of the velocity, after subtracting smoothed signals.
     estimator, groups = robot.plan.state_estimator, source.recording.groups
     nv = source.recording.nv
     speed = np.concatenate([states[slice(None)] for states in source.states.full])

@@ -43,6 +43,10 @@ class RelativeGains:
         """Joints (nv,), bool, whose gain is fixed."""
         return self.reference == np.arange(self.reference.size)
 
+    def vague(self, gains, std):
+        """Return the joints (nv,), bool, whose fitted gain is not identifiable."""
+        return ~self.fixed & ~(HALF_WIDTH * std < np.log(LIMIT) * gains)
+
     @property
     def references(self):
         """Reference joints of at least one other joint, a sorted list of int."""

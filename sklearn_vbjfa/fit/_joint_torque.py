@@ -36,8 +36,7 @@ class JointTorqueRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         bodies and non-negative friction.
     joint_weights : "auto", None or array-like of shape (nv,), default="auto"
         Weights of the joints' equations [1 / torque squared]. ``"auto"``: the inverse
-        of each joint's residual variance, by iterated weighted least squares. None:
-        unit weights.
+        of each joint's residual variance, by iterated least squares. None: unit.
 
     Attributes
     ----------
@@ -72,8 +71,7 @@ class JointTorqueRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     Notes
     -----
-    `sample_weight` weights the equations, whether or not the regressor supports
-    weights.
+    `sample_weight` weights the equations, for any regressor.
 
     All joints share one parameter vector, so that nothing may rescale or mix the
     columns between `RigidBodyFeatures` and this estimator: rescaled columns raise an
@@ -119,8 +117,7 @@ class JointTorqueRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Raises
         ------
         ValueError
-            If the columns of X do not divide among the joints of y or have been
-            rescaled.
+            If the columns of X do not divide among the joints, or were rescaled.
         """
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True

@@ -307,8 +307,7 @@ def _simulate_trial(fit, normal, theta, windows):
 
 def deviations(normal, metric, damping, torque_std):
     """Return the standard deviations (p,) of refined parameters."""
-    # With H the Gauss-Newton matrix, G the metric of the torque fit and a small damping
-    # mu, the covariance is
+    # With the Gauss-Newton matrix H, the metric G of the torque fit and a damping mu:
     #     A^-1 (W / (nu - 2) sum_w g_w g_w') A^-1 + T C T',
     #     A = H + mu G,  T = 1 - A^-1 H,  nu = max(W - r, 3),
     # a sandwich of the gradients of the windows; directions that simulation does not

@@ -18,7 +18,7 @@ class ChannelGains:
 
     joint_names: tuple[str, ...]
     # (nv,): reading of each channel over the torque: relative to the reference channel,
-    # or [recorded unit / (N m or N)] if a known mass sets it; 1 if not identifiable
+    # or [recorded unit / (N m or N)] if a known mass sets it
     gain: np.ndarray
     # (nv,): 0 for a reference, nan if the gain is not identifiable
     std: np.ndarray
@@ -43,8 +43,8 @@ class ChannelGains:
     def hidden(self):
         """Joints (tuple of int) whose gain is not identifiable."""
         joints = np.arange(self.reference.size)
-        alone = joints[self.reference == joints]
-        return tuple(np.setdiff1d(alone, self.references).tolist())
+        hidden = (self.reference == joints) | np.isnan(self.std)
+        return tuple(np.setdiff1d(joints[hidden], self.references).tolist())
 
     @property
     def absolute(self):
@@ -90,7 +90,8 @@ def note_of_gains(gains):
     if gains is None:
         return ""
     each = ", ".join(
-        f"{name} {gain:.5g}" for name, gain in zip(gains.joint_names, gains.gain)
+        f"{name} {gain:.5g}{' (not identifiable)' * (j in gains.hidden)}"
+        for j, (name, gain) in enumerate(zip(gains.joint_names, gains.gain))
     )
     text = f"Divide what the torque channels read by: {each}."
     return " ".join(filter(None, [text, note_of_units(gains)]))

@@ -242,6 +242,14 @@ def effect_mask(robot, condition):
     return np.concatenate(out)
 
 
+def joint_mask(robot, joints):
+    """Parameters (p,), bool, of bodies, friction and effects of joints (nv,), bool."""
+    mask = effect_mask(robot, lambda e: joints[e.joint] and not isinstance(e, InModel))
+    n = robot.features_.n_parameters_
+    mask[:n] = np.repeat(joints, n // robot.features_.n_joints_)
+    return mask
+
+
 def _nonnegative(robot):
     """Parameters (p,), bool, of friction and drives that cannot be negative."""
     features = robot.features_

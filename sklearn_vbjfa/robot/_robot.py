@@ -108,8 +108,7 @@ class IdentifiedRobot:
     ----------
     theta_ : ndarray of shape (p,)
         Parameters, physically consistent if projected: for each joint ten inertial
-        parameters in Pinocchio's order and the friction, then the coefficients of the
-        effects.
+        parameters in Pinocchio's order and friction, then effects.
     theta_unconstrained_ : ndarray of shape (p,)
         Parameters before the projection.
     theta_std_ : ndarray of shape (p,)
@@ -138,8 +137,7 @@ class IdentifiedRobot:
         Standard deviation of the residual that input noise does not explain [N m or N];
         its excess over `torque_noise_` is model error.
     features_ : RigidBodyFeatures
-        The robot, corrected by its effects in ``model_``, and as described in
-        ``nominal_``.
+        The robot, corrected by effects in ``model_``, as described in ``nominal_``.
     """
 
     features_: RigidBodyFeatures
@@ -388,8 +386,7 @@ class IdentifiedRobot:
         v0 : array-like of shape (nv,), default=None
             Velocities in the first row [rad/s or m/s]; None is at rest.
         t : array-like of shape (n_samples,), default=None
-            Times of the rows [s], on the clock of the fit. None counts from its
-            beginning.
+            Times of the rows [s], on the clock of the fit. None: from its start.
         signals : mapping of str to array-like of shape (n_samples,), default=None
             Recorded signals, for effects that vary with them.
 
@@ -964,8 +961,7 @@ class IdentifiedRobot:
 def load_identified(path, effects=()):
     """Read an identified robot from a file that `RobotIdentifier.save` wrote.
 
-    Nothing in the file is executed: it is JSON, and effects are taken from the library
-    by name.
+    The file is JSON, nothing in it is executed; effects are those of the library.
 
     Parameters
     ----------

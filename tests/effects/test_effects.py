@@ -210,13 +210,10 @@ def closed_forms():
         ),
         "rotor_inertia": ({}, [a]),
         "coupling": ({"other": 0}, [w, np.sign(w), A[:, 0]]),
-        "coupling sum": (
-            {"other": 0, "ratio": 1.0},
-            [w + v, np.sign(w + v), A[:, 0] + a],
-        ),
+        "coupling sum": ({"other": 0, "ratio": 1.0}, [w, np.sign(w + v), A[:, 0]]),
         "coupling tendon": (
             {"other": 0, "ratio": -0.7},
-            [w - 0.7 * v, np.sign(w - 0.7 * v), A[:, 0] - 0.7 * a],
+            [w, np.sign(w - 0.7 * v), A[:, 0]],
         ),
         "delay": ({"delay": 0.034}, [(lagged - load) / 0.034]),
         "torque_gain": ({"gain": 1.6}, [load / 1.6]),

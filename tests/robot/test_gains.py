@@ -8,7 +8,8 @@ from scipy import linalg, optimize
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.equations._joint_moments import JointMoments
-from sklearn_vbjfa.fit._gains import _maximise_likelihood
+from sklearn_vbjfa.fit import _fit
+from sklearn_vbjfa.fit._gains import RelativeGains, _maximise_likelihood
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import arm, inverse_dynamics, motion
 from tests.robot import EXACT
@@ -133,6 +134,17 @@ def test_gain_of_a_separate_joint_is_not_identifiable(noise):
     assert_allclose(estimate.gain[:2], gains[:2] / gains[reference], rtol=0.03)
     index = robot.parameter_names_.index("lone:torque_gain:gain")
     assert not robot.identifiable_[index]
+
+
+def test_parameters_of_joints_with_a_vague_gain_are_not_identifiable(monkeypatch):
+    model, (_, states) = two_trees(), motion(3, duration=16.0, dt=DT, seed=2)
+    start = RelativeGains(gains=np.ones(3), reference=np.zeros(3, dtype=int))
+    monkeypatch.setattr(_fit, "relative_gains", lambda *_: start)
+    robot = fit(torques(0.02, np.ones(3), 0, states, model), states, model)
+    assert robot.gains_.hidden == (2,)
+    known = dict(zip(robot.parameter_names_, robot.robot_.known_))
+    assert known["joint_2:viscous"] == "yes"
+    assert known["lone:viscous"] == "in combination"
 
 
 def test_predictions_are_in_units_of_the_channels():

@@ -227,8 +227,7 @@ def _probe(search):
     view = search.view
     features, nv = view.robot.features_, view.nv
     n = 20 * features.n_parameters_ // nv + 200
-    # Full revolutions, since the span for any motion does not depend on the range of
-    # the recording.
+    # Full revolutions, since the span for any motion depends on no recording.
     scale = np.repeat([np.pi, 2.0, 10.0], nv)
     states = np.random.default_rng(0).uniform(-1, 1, size=(n, 3 * nv)) * scale
     inertial = (view.back @ search.fit.theta)[: features.n_parameters_]

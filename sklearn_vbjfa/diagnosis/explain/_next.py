@@ -9,8 +9,7 @@ from sklearn_vbjfa.effects import RotorInertia, Varied
 # robots. Friction varies with temperature, the load with the payload; offsets are
 # relative to the standard deviation of the torque.
 _KINDS = {"friction": 0.03, "gain": 0.003, "offset": 0.004, "load": 0.02}
-# Standard deviation of its logarithm over robots, and the share of that variance common
-# to all kinds.
+# Standard deviation of its logarithm over robots, and its variance's common share.
 _WIDTH, _COMMON = 2.4, 0.5
 # Saturation level of these deviations, and probability that they are zero.
 _MAX_SHARE, _P_NONE = 0.3, 0.1

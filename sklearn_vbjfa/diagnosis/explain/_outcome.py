@@ -28,8 +28,7 @@ from sklearn_vbjfa.robot._channels import HALF_WIDTH
 from sklearn_vbjfa.robot._corrections import corrections_of
 from sklearn_vbjfa.robot._posterior import body_indices
 
-# Position or velocity limits that count as unlimited, and error of torques that follow
-# the description.
+# Limits that count as unlimited, and error of torques that follow the description.
 _UNLIMITED, _WELL = 1e3, 0.2
 # Attributes of curves that are readings of torque channels.
 _READINGS = {"measured", "before", "after", "predicted", "residual"}

@@ -70,8 +70,7 @@ class RecordingMoments:
             terms = [fit.in_equations(e(joint=j)) for e in (Offset, Viscous, Coulomb)]
             terms = [term[:, j, 0] for term in terms]
             self._designs.append(np.column_stack([Phi[:, j, at], *terms, tau[:, j]]))
-        # Contiguous thirds: between interleaved blocks, slow noise would be correlated
-        # with both neighbours.
+        # Contiguous thirds: slow noise would correlate interleaved blocks.
         block = np.r_[0, np.cumsum(np.diff(self.view.spans.label) != 0)]
         self.n_blocks = int(block[-1]) + 1
         part = np.zeros(block.size, dtype=int)

@@ -47,6 +47,11 @@ class Family:
             return ()
         return tuple(effect.opposite().key() for effect in self.effects)
 
+    @functools.cached_property
+    def simple(self):
+        """Which shapes are preferred to others that are not more probable, (c,)."""
+        return np.array([effect.simple for effect in self.effects])
+
     def groups(self, fit):
         """Return second moments given a model, `Groups`."""
         return fit.groups(self.columns).part(self.at)
@@ -130,7 +135,12 @@ class Candidates:
 
     def candidate(self, fit, family, excess=None):
         """Return the best shape of a family given a fit as a `Candidate`, or None."""
-        scale, threshold = self.settings.scale, self._min_evidence(family)
+        # Rivals are within `rivals` nats; noise spectra use one candidate per joint.
+        scale, least = self.settings.scale, -np.log(len(self.families))
+        least = min(least, -self.settings.rivals)
+        if isinstance(family.effects[0], InModel):
+            least = _GEOMETRY_ODDS
+        threshold = least - self.log_prior
         if excess is None:
             evidence = fit.evidence(family.columns, scale)[family.at]
             if not evidence.max() > threshold:
@@ -151,6 +161,9 @@ class Candidates:
             return None
         evidence = np.where(eligible, evidence, -np.inf)
         best, total = int(np.argmax(evidence)), np.logaddexp.reduce(evidence)
+        simple = np.where(family.simple, evidence, -np.inf)
+        if simple.max() > evidence[best] - self.settings.rivals:
+            best = int(np.argmax(simple))
         log_odds = float(total - np.log(eligible.size) + self.log_prior)
         return Candidate(
             family=family,
@@ -159,13 +172,6 @@ class Candidates:
             order=log_odds,
             coef=coefs[best],
         )
-
-    def _min_evidence(self, family):
-        """Return the log evidence of a shape below which an effect is irrelevant."""
-        # Rivals are within `rivals` nats; noise spectra use one candidate per joint.
-        limit = -max(self.settings.rivals, np.log(len(self.families)))
-        least = _GEOMETRY_ODDS if isinstance(family.effects[0], InModel) else limit
-        return least - self.log_prior
 
     def discounted(self, fit, candidate):
         """Discount the evidence of a candidate by its overdispersion; may be None."""

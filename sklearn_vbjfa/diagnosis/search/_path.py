@@ -194,7 +194,6 @@ class Path:
             for c in self.candidates.probable()
             if isinstance(c.effect, InModel) and c.order > _SIMILAR * first.order
         ]
-        similar.sort(key=lambda c: (c.effect.precedence, -c.order))
         if len(similar) == 1:
             return first
         # Large corrections differ in the second order: compare their exact models.
@@ -204,8 +203,8 @@ class Path:
             for _ in range(_ROUNDS):
                 new = self.scaled(relinearise(new))
             evidence.append(new.log_evidence())
-        pairs = zip(similar, evidence)
-        return next(c for c, x in pairs if x > max(evidence) - _TIE)
+        pairs = [(c, x) for c, x in zip(similar, evidence) if x > max(evidence) - _TIE]
+        return min(pairs, key=lambda pair: (pair[0].effect.precedence, -pair[1]))[0]
 
     def _with_candidates(self, fit, candidates):
         """Add candidates to a fit and drop members that become improbable."""
@@ -351,10 +350,14 @@ class Path:
                 # A candidate that contains the member must replace others as well.
                 worst = min([0.0, *others])
                 contains = member.effect.name in closure(candidate.effect, self.library)
-                if new_odds - worst < odds[i] + _TIE or (contains and worst == 0.0):
+                same = candidate.effect.name == member.effect.name
+                simpler = same and candidate.effect.simple > member.effect.simple
+                margin = -self.settings.rivals if simpler else _TIE
+                if new_odds - worst < odds[i] + margin or (contains and worst == 0.0):
                     continue
                 new = self._pruned(new)
-                better = self.validate(new).error() <= self.validate(fit).error()
+                errors = [self.validate(x).error() for x in (new, fit)]
+                better = simpler or errors[0] <= errors[1]
                 if better and effect_keys(new) not in visited:
                     return new
         return None

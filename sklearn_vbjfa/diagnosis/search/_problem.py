@@ -37,8 +37,7 @@ class Columns:
 
     # effects (c,): the effect with each shape; joints: those it acts on; values (nj, n,
     # c, k): cosines, sorted by band; unit (c, k): see `Groups`, zero for columns of
-    # zeros; shape: (c, k); edges: see `Problem`; load: motion with the load that they
-    # depend on.
+    # zeros; shape: (c, k); edges: see `Problem`; load: motion with their load.
 
     def __init__(self, effects, joints, values, unit, edges, load=None):
         self.effects, self.joints, self.load = tuple(effects), tuple(joints), load
@@ -320,10 +319,9 @@ class Fit:
     """Model of all joints' torques with effects as members, under given weights."""
 
     # base: declared columns under these weights; theta (r,): their posterior mean;
-    # slices: coefficients of each member; prior (p,): prior precision of these; applied
-    # (p,): the part of them that the robot model already contains. B (r, p), H (p, p),
-    # q (p,): see `ReducedMoments`, of the members' columns; `reduced` if they are known
-    # from another fit.
+    # slices: coefficients of each member; prior (p,): their prior precision; applied
+    # (p,): part in the robot model. B (r, p), H (p, p), q (p,): see `ReducedMoments`,
+    # of the members' columns; `reduced` if they are known from another fit.
 
     def __init__(self, base, members=(), reduced=None):
         self.base, self.problem, self.members = base, base.problem, tuple(members)

@@ -8,16 +8,14 @@ from sklearn.base import clone
 from sklearn_vbjfa.diagnosis.search._problem import Columns, Fit
 from sklearn_vbjfa.effects import Bank, Effect, Sudden
 
-# Minimum expected gain of a step of all shapes, and of each shape [nats]; maximum
-# number of steps.
+# Minimum expected gain of a step of all or one shape [nats]; most steps.
 MIN_GAIN, MOST_STEPS = 0.05, 4
 # Step lengths of the backtracking line search.
 STEP_SHARES = (1.0, 0.5, 0.25)
 # Finite-difference step over the distance of the neighbouring grid points: of smooth
 # columns, and of columns that change in single rows.
 _DERIVATIVE, _COARSE = 0.01, 0.1
-# Instants of a jump per refinement, first within this share of the grid spacing on both
-# sides.
+# Instants of a jump per refinement, first within this share of the grid on both sides.
 _INSTANTS, _AROUND = 9, 0.5
 # Number of instants of a jump that are compared; how often each of its two times is
 # located given the other.
@@ -108,8 +106,7 @@ class ShapePoint:
 
     def moved(self, step):
         """Return the point after a step (d,), clipped to its bounds."""
-        # A single parameter stays between its neighbours; several correlated ones may
-        # move further.
+        # A single parameter stays between its neighbours; correlated ones may not.
         single = len(self.names) == 1
         bounds = (self.low, self.high) if single else (self.lowest, self.highest)
         step = np.clip(step, -self.width / 2, self.width / 2)

@@ -390,9 +390,8 @@ class RecordingView:
 
 def reduced(equations, precision):
     """Express a regressor in base parameters."""
-    # Returns the reduced regressor (nv, m, r), rows times the square root of their
-    # weight, the matrix (p, r) from reduced to full parameters, and which of these are
-    # identifiable (p,).
+    # Returns the reduced regressor (nv, m, r), rows times roots of weights, the matrix
+    # (p, r) to full parameters, and which of these are identifiable.
     weight, Phi = equations.weight, equations.Phi
     # Nonzero columns of each joint: the joints of a tree share few.
     supports = [np.flatnonzero(used) for used in Phi.any(axis=0)]

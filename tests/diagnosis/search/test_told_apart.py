@@ -83,6 +83,13 @@ def test_geometric_effects_are_found_with_their_values(truth):
         np.testing.assert_allclose(applied.values + step, effect.values, atol=0.02)
 
 
+def test_a_viscous_coupling_has_no_ratio():
+    recording = record("ZYX", seed=2, noise=0.02)
+    torque = recording.torque(joint_2=lambda r: 2.0 * r.v[:, 2])
+    (finding,) = search(torque, ["coupling"], recording).run().findings
+    assert (finding.effect.other, finding.effect.ratio) == (2, 0.0)
+
+
 @pytest.mark.parametrize("effect", [JointZero(0), JointZero(2)])
 def test_unidentifiable_zeros_are_never_candidates(level, effect):
     """Zeros of a vertical joint and of the last joint are not identifiable."""

@@ -29,7 +29,6 @@ _Robot = namedtuple("_Robot", "known model file held dt")
 
 
 def design(arguments, folder):
-    """Design a motion, print the effects that it excites, and write it."""
     if arguments.purpose == "gravity":
         return _gravity.design_poses(arguments, folder)
     if arguments.urdf is None and arguments.report is None:

@@ -14,7 +14,6 @@ from sklearn_vbjfa.model import joint_names, load_model
 
 
 def correct(arguments, folder):
-    """Correct the masses of a description from poses, and write the files."""
     import pandas as pd
 
     from sklearn_vbjfa.gravity import correct_gravity
@@ -86,7 +85,6 @@ def correct(arguments, folder):
 
 
 def design_poses(arguments, folder):
-    """Choose poses for gravity compensation, and write them in order."""
     from sklearn_vbjfa.gravity import gravity_poses
 
     out = _input.expand(arguments.out or "poses.csv")

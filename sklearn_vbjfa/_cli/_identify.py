@@ -55,7 +55,7 @@ def identify(arguments, folder):
         "description": str(_input.expand(arguments.urdf)),
         "options": dict(arguments.typed),
         "held": held,
-        "files": _FILES[1:],
+        "files": ("report.json", *(x for x in ROBOT_FILES if (robot / x).exists())),
         "date": time.strftime("%Y-%m-%d"),
     }
     if loop.report_.has_open_questions:
@@ -130,7 +130,6 @@ def _limits(robot, recording):
 
 
 def identify_demo(arguments, folder):
-    """Identify the robot of the recording that comes with the package."""
     from sklearn_vbjfa.datasets import load_demo_recording
 
     # Logs do not contain exact states.

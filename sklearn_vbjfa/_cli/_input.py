@@ -212,7 +212,6 @@ def check_folder(out):
 
 
 def check_file(out, option, force):
-    """Refuse a file that exists or cannot be written."""
     if out.is_dir() or (out.exists() and not force):
         raise ValueError(
             f"{out} exists; give another file for {option}, or --force to replace a "

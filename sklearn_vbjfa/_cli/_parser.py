@@ -28,12 +28,10 @@ class Refused(ValueError):
 
 
 def numbers(text):
-    """Return the numbers in a comma-separated list."""
     return tuple(map(float, text.split(",")))
 
 
 def names(text):
-    """Return the names in a comma-separated list."""
     return tuple(name.strip() for name in text.split(","))
 
 
@@ -87,8 +85,6 @@ def _tables():
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that raises exceptions for errors."""
-
     def error(self, message):
         match = re.search(r"argument COMMAND: invalid choice: '([^']*)'", message)
         if match:
@@ -251,7 +247,6 @@ def command_line(arguments, options):
 
 
 def shell_line(*words):
-    """Return a shell command that runs the package with these arguments."""
     return shlex.join(["python", "-m", "sklearn_vbjfa", *words])
 
 

@@ -1,9 +1,12 @@
 """Files of an identified robot."""
 
 import math
+import warnings
 
 from sklearn_vbjfa._cli._input import escape_formula
 from sklearn_vbjfa.diagnosis.explain import parameter_values
+from sklearn_vbjfa.diagnosis.report._words import join
+from sklearn_vbjfa.model import DoubtWarning
 
 # Parameters, URDF, MJCF, and the saved model with all identified effects.
 ROBOT_FILES: tuple[str, ...] = (
@@ -14,25 +17,24 @@ ROBOT_FILES: tuple[str, ...] = (
 )
 _COLUMNS = ["parameter", "value", "unit", "std", "identifiable", "description"]
 _COLUMNS += ["scatter"]
-# Maximum number of effects named in a line.
-_N_NAMED = 3
 
 
 def write_robot(robot, folder):
     """Write the robot; return a line for each file that cannot hold all effects."""
     _write_parameters(robot, folder / "parameters.csv")
     robot.save(folder / "identified.json")
-    omitted = {
-        "identified.urdf": robot.to_urdf(folder / "identified.urdf"),
-        "identified.xml": robot.to_mjcf(folder / "identified.xml"),
-    }
+    exports = {"identified.urdf": robot.to_urdf, "identified.xml": robot.to_mjcf}
     lines = []
-    for name, effects in omitted.items():
-        named = [*dict.fromkeys(f"{e.name} on {e.joint_name}" for e in effects)]
-        named[_N_NAMED:] = [f"{len(named) - _N_NAMED} more"] if named[_N_NAMED:] else []
+    for name, export in exports.items():
+        try:
+            effects = export(folder / name)
+        except ValueError as error:
+            warnings.warn(f"{name} is not written: {error}", DoubtWarning, stacklevel=2)
+            continue
+        named = dict.fromkeys(f"{e.name} on {e.joint_name}" for e in effects)
         if named:
             lines.append(
-                f"{name} has no place for {', '.join(named)}; its first lines list "
+                f"{name} has no place for {join(named)}; its first lines list "
                 "why, and identified.json has all."
             )
     return lines

@@ -103,11 +103,14 @@ def _write(result, arguments, notes):
                 "--force to replace it"
             )
         lines = result.write(part, notes)
-        for name in result.files:
+        written = [name for name in result.files if (part / name).exists()]
+        for name in written:
             (part / name).replace(folder / name)
-    paths = [str(folder / name) for name in result.files]
+        for name in {*result.files}.difference(written):
+            (folder / name).unlink(missing_ok=True)
+    paths = [str(folder / name) for name in written]
     if result.page:
-        paths = [f"{paths[0]} (all details)", *result.files[1:]]
+        paths = [f"{paths[0]} (all details)", *written[1:]]
     return [*lines, f"written: {', '.join(paths)}"]
 
 

@@ -39,7 +39,6 @@ class Correction:
 
 
 def _corrected(robot):
-    """Return the `CorrectedModel` of a fitted robot."""
     corrected = CorrectedModel(robot.features_.nominal_)
     for effect in robot.effects_:
         if isinstance(effect, InModel):
@@ -141,7 +140,6 @@ _NOTES = {
 
 
 def note_of_corrections(robot):
-    """Return the notes of a URDF on corrections, a list of str."""
     return [
         _NOTES[correction.name].format(joint=correction.joint_name, **correction.values)
         for correction in corrections_of(robot)

@@ -2,12 +2,14 @@
 
 import warnings
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from sklearn_vbjfa.effects import (
     CommandDelay,
+    Coupling,
     CouplingSpring,
     Drift,
     InModel,
@@ -19,12 +21,15 @@ from sklearn_vbjfa.effects import (
     TorqueLag,
 )
 from sklearn_vbjfa.equations._features import follower_parameters, following_joints
+from sklearn_vbjfa.equations._plan import effect_indices
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._dynamics import CorrectedModel
 from sklearn_vbjfa.model._mjcf import JointDynamics, write_mjcf
 from sklearn_vbjfa.model._trees import with_bodies
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
 from sklearn_vbjfa.simulation import LeftOut, SimulationError, simulate
+from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
+from sklearn_vbjfa.simulation._simulate import check_inertia
 
 
 def plain_totals(robot):
@@ -105,9 +110,8 @@ def _notes_of_mjcf(robot, dynamics, servo):
         if servo.delay > 0:
             lines.append(
                 f"Commands act {servo.delay:.4g} s late (delay, for MuJoCo 3.5 and "
-                "newer; older ones read the file without delay, nsample and interp). "
-                "The history has room for the time step of the file and longer ones, "
-                "and begins with controls of zero: mj_initCtrlHistory takes others."
+                "newer). The history suits time steps from that of the file on, and "
+                "begins with controls of zero: mj_initCtrlHistory takes others."
             )
     lines += [
         f"The encoder of {robot.joint_names[j]} reads {dynamics.ref[j]:.6g} at the "
@@ -242,6 +246,7 @@ _WINDOWS, _SECONDS, _LEAST = 6, 1.0, 20
 _CHANGED = 0.02
 # Range of a term of the file, over its identified value.
 _FACTORS = np.array([0.5, 2.0])
+UNSTABLE = "The identified robot cannot be simulated from torques without feedback"
 # Effects that a motion without log does not have.
 _APART = (OfChannel, OfSignals, OfTime, TorqueLag)
 # A torque below this share of the joint's whole torque is rounding.
@@ -280,21 +285,38 @@ def typical_motion(ranges, nv, dt):
     return np.hstack(list(states)), moves
 
 
+def unphysical_coupling(robot, effects):
+    """Return the last coupling if the inertia matrix is indefinite, or None."""
+    couplings = [effect for effect in effects if isinstance(effect, Coupling)]
+    if not couplings or min(robot.min_eigenvalues_) <= 0:
+        return None
+    model = robot.torque_model()
+    states, _ = typical_motion(robot.effect_ranges_, model.n_joints, 1.0)
+    dynamics = ForwardDynamics(model)
+    try:
+        for q in states[:: _ROWS // 100, : model.n_joints]:
+            check_inertia(model, dynamics, q)
+    except SimulationError:
+        return couplings[-1]
+    return None
+
+
 def refitted(robot, totals):
     """Fit `TERMS` of a file to the effects that it leaves out, changes (nv, 3)."""
     # totals (nv, 3): of `TERMS` in the file, which change by a factor of two at most: a
     # joint without armature would be a different plant for a controller. Torques by
     # other joints are not fitted.
     nv, added = len(totals), np.zeros(totals.shape)
-    pairs = zip(robot.effects_, robot.split(robot.theta_))
-    left = [without_place(*pair) for pair in pairs]
+    free = _without_log(robot)
+    left = [without_place(*x) for x in zip(free.effects_, free.split(free.theta_))]
     if not _is_known(robot) or not any(coef.any() for coef in left):
         return added
     states, moves = typical_motion(robot.effect_ranges_, nv, robot.plan.dt)
     v, a = states[:, nv : 2 * nv], states[:, 2 * nv :]
     plain = {"coulomb": np.sign(v), "viscous": v, "rotor_inertia": a}
     lacking = np.zeros((_ROWS, nv))
-    for (effect, columns), coef in zip(robot.columns_of(states), left):
+    (rows,) = free.rows_of(free.prepare(states))
+    for (effect, columns), coef in zip(rows.columns, left):
         if coef.any() and not isinstance(effect, (OnAllJoints, ToAnother)):
             j, name = effect.joint, effect.files.parameter
             lacking[:, j] += columns @ coef
@@ -316,9 +338,28 @@ def _is_known(robot):
     return robot.plan.dt is not None and len(robot.effect_ranges_) > 0
 
 
+def _without_log(robot):
+    """Return the robot without effects that a motion without log does not have."""
+    effects, ranges = robot.effects_, robot.effect_ranges_
+    kept = [isinstance(x, Drift) or not isinstance(x, _APART) for x in effects]
+    if all(kept):
+        return robot
+    pairs = zip(effect_indices(effects, robot.features_.n_parameters_), kept)
+    gone = [i for (_, columns), keep in pairs if not keep for i in columns]
+    n = len(ranges) - len(effects)
+    out = replace(
+        robot,
+        plan=replace(robot.plan, effects=tuple(compress(effects, kept))),
+        theta_=np.delete(robot.theta_, gone),
+        effect_ranges_=(*ranges[:n], *compress(ranges[n:], kept)),
+    )
+    load = None if robot.load_parameters is None else out.parameters_of_load()
+    return replace(out, load_parameters=load)
+
+
 def warn_of_motion(robot, added, file_name):
     """Warn of joints that move differently in simulations of an MJCF file."""
-    model = robot.torque_model()
+    model = _without_log(robot).torque_model()
     left = [
         coef if isinstance(effect, Drift) else without_place(effect, coef)
         for effect, coef in zip(model.effects, model.coefficients)
@@ -329,11 +370,6 @@ def warn_of_motion(robot, added, file_name):
     account = _Account(model, added)
     joints = {name: account.passive(name) for name in TERMS}
     joints["offset"] = account.total("offset")
-    used = [
-        coef * (isinstance(effect, Drift) or not isinstance(effect, _APART))
-        for effect, coef in zip(model.effects, model.coefficients)
-    ]
-    model = replace(model, coefficients=tuple(used))
     file = replace(
         model,
         friction_names=tuple(joints),
@@ -345,15 +381,14 @@ def warn_of_motion(robot, added, file_name):
     )
     try:
         shares = changed_motion(robot, model, file)
-    except SimulationError as error:
-        text = "The identified robot cannot be simulated from torques without feedback"
-        warnings.warn(f"{text}: {error}", DoubtWarning, stacklevel=3)
+    except ValueError as error:
+        warnings.warn(f"{UNSTABLE}: {error}", DoubtWarning, stacklevel=3)
         return
-    worst = [j for j in np.argsort(-shares, kind="stable") if shares[j] > _CHANGED]
     sizes = [
         f"{robot.joint_names_[j]} "
         + (f"{100 * shares[j]:.0f} %" if shares[j] <= 1 else "over 100 %")
-        for j in worst
+        for j in np.argsort(-shares, kind="stable")
+        if shares[j] > _CHANGED
     ]
     if sizes:
         warnings.warn(
@@ -378,7 +413,8 @@ def changed_motion(robot, model, other):
     _, end = robot.plan.time or (0.0, np.inf)
     n = max(length, np.searchsorted(t, end))
     starts = np.linspace(0, n - length, min(_WINDOWS, n // length)).astype(int)
-    tau = robot.torques(robot.prepare(states))
+    free = _without_log(robot)
+    tau = free.torques(free.prepare(states))
     changes, spread = [], states[:, :nv].std(axis=0)
     for rows in (slice(start, start + length) for start in starts):
         q, v, _ = np.split(states[rows.start], 3)
@@ -392,7 +428,6 @@ def changed_motion(robot, model, other):
 
 
 def _simulated(model, tau, q, v, t):
-    """Positions (n, nv) under torques."""
     with warnings.catch_warnings():
         # Both simulations leave out the same effects.
         warnings.simplefilter("ignore")

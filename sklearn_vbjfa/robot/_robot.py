@@ -678,11 +678,6 @@ class IdentifiedRobot:
         warn_of_motion(robot, added, Path(path).name)
         return left
 
-    def columns_of(self, states):
-        """Return effects with their columns in states (n, 3 nv), a list of pairs."""
-        (rows,) = self._rows(self.prepare(states))
-        return rows.columns
-
     def _servo(self, drive):
         """Return the `Servo` of a drive as identified, None for motors without one."""
         if drive is None:
@@ -786,7 +781,6 @@ class IdentifiedRobot:
         return self.prepare_recording(recording)
 
     def prepare_recording(self, recording):
-        """Make the `Inputs` of a recording."""
         inputs, groups = recording.inputs, recording.groups
         smoother = self.smoother(inputs, groups, in_band=True)
         states = inputs if smoother is None else smoother.transform(inputs, groups)
@@ -806,7 +800,7 @@ class IdentifiedRobot:
 
     def torques(self, inputs):
         """Torques (n, nv) that are predicted for `Inputs`."""
-        return np.concatenate([x.predict(self.theta_)[0] for x in self._rows(inputs)])
+        return np.concatenate([x.predict(self.theta_)[0] for x in self.rows_of(inputs)])
 
     def readings(self, inputs):
         """Torques (n, nv) that the channels record for `Inputs`, late by their lag."""
@@ -814,7 +808,7 @@ class IdentifiedRobot:
         recording = replace(inputs.recording, tau=tau, weight=None)
         return with_torques_shifted(recording, lag).tau
 
-    def _rows(self, inputs):
+    def rows_of(self, inputs):
         recording = inputs.recording
         states = [inputs.states[rows] for rows in recording.segments]
         return regressor_rows(
@@ -827,7 +821,6 @@ class IdentifiedRobot:
         )
 
     def warn_outside(self, inputs, stacklevel):
-        """Warn if `Inputs` leaves the ranges of the fit."""
         joints = self.joint_names_, is_prismatic(self.features_.model_)
         if text := outside_text(self.outside(inputs), *joints):
             message = f"Prediction outside the range of the fit. {text}."

@@ -297,15 +297,14 @@ def warn_once(caught, where, stacklevel):
         warnings.warn(text, category, stacklevel=stacklevel + 1)
 
 
-# Why an effect of a torque channel is not simulated under a drive.
-_AT_ONCE = "torques of the drive act at once"
 # Tolerance for rounding of times, in rows.
 _JITTER = 1e-9
 
 
 def unfollowed(effect):
     """Reason why a simulation under a drive leaves out an effect, "" if it does not."""
-    return effect.files.simulation or _AT_ONCE * isinstance(effect, OfChannel)
+    at_once = "torques of the drive act at once" * isinstance(effect, OfChannel)
+    return effect.files.simulation or at_once
 
 
 class CommandFollower:
@@ -347,7 +346,6 @@ class CommandFollower:
 
 
 def follow(robot, drive, recording, window=None):
-    """Simulate a robot from its commands, starting at recorded states."""
     # robot: `IdentifiedRobot`; window: time [s] between restarts from the recorded
     # state, None for whole recordings. Returns states (n, 3 nv).
     follower, clock = CommandFollower(robot, drive, recording), recording.clock

@@ -64,7 +64,6 @@ class ForwardDynamics:
             self.terms.set_levels(self._term_arrays[2], t, self._signals)
 
     def set_bodies(self, t):
-        """Set the bodies to what they are at t [s]."""
         bodies = [pair for pair in self._timed_bodies if t >= pair[0]][-1][1]
         self._robot = self._tree, bodies, self.terms.armature, self._load_bodies
         self._robot_arrays = tuple(self._tree), *self._robot[1:]

@@ -53,7 +53,7 @@ _LOWER = np.array(
     [0.37810903145819369, -0.096042292212423178, 0.5, 0.21793326075422950]
 )
 # Shortest step, as a share of the sample period, and largest number of steps in it.
-_SHORTEST, _MOST_STEPS = 1e-12, 20_000
+_SHORTEST, _MOST_STEPS = 1e-12, 1000
 # Velocity that no joint reaches [rad/s or m/s]: the motion has diverged.
 _RUNAWAY = 1e4
 # A joint that stops more often within a sample period sticks until its end.

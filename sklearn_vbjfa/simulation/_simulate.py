@@ -42,7 +42,7 @@ def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
     signals = recorded(_signals(signals, len(tau)), t)
     dynamics = ForwardDynamics(robot, signals)
     warn_left_out(robot.joint_names, dynamics.terms.left_out, stacklevel=4)
-    _check_inertia(robot, dynamics, q0)
+    check_inertia(robot, dynamics, q0)
     torque = robot.true_torques(tau, t)
 
     def torques(row, q, v):
@@ -160,7 +160,6 @@ def _times(robot, t, n):
 
 
 def _signals(signals, n):
-    """Return validated recorded signals, (n,) each."""
     checked = {}
     for name, values in ({} if signals is None else signals).items():
         checked[name] = np.array(values, dtype=float)
@@ -172,7 +171,7 @@ def _signals(signals, n):
     return checked
 
 
-def _check_inertia(robot, dynamics, q0):
+def check_inertia(robot, dynamics, q0):
     nv = robot.n_joints
     arguments = np.zeros(nv), np.zeros(nv), np.zeros(nv), np.zeros(nv, dtype=bool)
     dynamics.start(q0)
@@ -182,8 +181,8 @@ def _check_inertia(robot, dynamics, q0):
     if not values[0] > 0:
         name = robot.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
         raise SimulationError(
-            f"The inertia of {name} at q0 is not positive ({values[0]:.3g} kg m^2); "
-            'identify with projector="default" and more motion.'
+            f"The inertia of {name} at q0 is not positive ({values[0]:.3g} kg m^2): "
+            "bodies or couplings are not determined; identify with more motion."
         )
 
 

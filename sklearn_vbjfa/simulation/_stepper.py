@@ -107,22 +107,17 @@ def why_left_out(effect):
 def causal(model):
     """Remove effects that need other states; return these as `LeftOut`."""
     reasons = list(map(why_left_out, model.effects))
-    indices = [k for k, reason in enumerate(reasons) if not reason]
+
+    def kept(values):
+        return tuple(x for x, reason in zip(values, reasons) if not reason)
+
     load = model.load
     if load is not None:
-        load = replace(load, coefficients=tuple(load.coefficients[k] for k in indices))
-    reduced = replace(
-        model,
-        effects=tuple(model.effects[k] for k in indices),
-        coefficients=tuple(model.coefficients[k] for k in indices),
-        ranges=tuple(model.held[k] for k in indices),
-        load=load,
-    )
-    return reduced, tuple(
-        LeftOut.of(effect, model.joint_names, reason)
-        for effect, reason in zip(model.effects, reasons)
-        if reason
-    )
+        load = replace(load, coefficients=kept(load.coefficients))
+    changes = {"effects": kept(model.effects), "coefficients": kept(model.coefficients)}
+    reduced = replace(model, **changes, ranges=kept(model.held), load=load)
+    left = [pair for pair in zip(model.effects, reasons) if pair[1]]
+    return reduced, tuple(LeftOut.of(x, model.joint_names, why) for x, why in left)
 
 
 class Stepper:

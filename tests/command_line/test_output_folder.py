@@ -47,6 +47,16 @@ def test_a_second_run_keeps_the_first_report(here, capsys):
     assert {x.name for x in Path("arm-report-2").iterdir()} == set(first)
 
 
+def test_a_file_that_cannot_be_written_is_named(here, capsys, monkeypatch):
+    assert run("-o", "out") == 0
+    monkeypatch.setattr("sklearn_vbjfa.RobotIdentifier.to_mjcf", lambda *_: int("x"))
+    assert run("-o", "out", "--force") == 3
+    assert "warning: identified.xml is not written" in capsys.readouterr().err
+    names = {x.name for x in Path("out").iterdir()}
+    assert names >= {"report.html", "identified.urdf", "identified.json"}
+    assert "identified.xml" not in names
+
+
 def test_a_concurrent_run_is_refused(here, capsys):
     part = Path("arm-report/.writing")
     part.mkdir(parents=True)

@@ -7,7 +7,7 @@ import pytest
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.effects import Drift, LoadFriction, Stribeck
+from sklearn_vbjfa.effects import Drift, LoadFriction, Signal, Stribeck
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.robot import TERMS, _robot, changed_motion, typical_motion
 from tests.model._mujoco import drive_torques
@@ -75,13 +75,15 @@ def test_diverging_robot_is_simulated_with_feedback(robot, tmp_path):
 def test_file_has_the_mean_of_a_drift(tmp_path):
     recording = make_robot_recording(duration=6.0, dt=0.01, random_state=2)
     t, path = 0.01 * np.arange(len(recording.tau)), tmp_path / "drifts.xml"
-    drift = Drift(1, "offset", 150.0, end=t[-1])
-    robot = RobotIdentifier(recording.urdf, dt=0.01, effects=[drift])
-    robot.fit(recording.q, recording.tau + 5.0 * np.outer(t, np.arange(6) == 1))
+    # Recorded signals do not prevent the export.
+    effects = [Drift(1, "offset", 150.0, end=t[-1]), Signal(0, "heat"), LoadFriction(2)]
+    robot = RobotIdentifier(recording.urdf, dt=0.01, effects=effects)
+    tau = recording.tau + 5.0 * np.outer(t, np.arange(6) == 1)
+    robot.fit(recording.q, tau, signals={"heat": t**2})
     with pytest.warns(DoubtWarning, match=r"moves differently .*joint_2 \d+ %"):
         robot.robot_.to_mjcf(path)
     states = np.zeros((1, 18))
-    half = robot.predict(states, t=[t[-1] / 2])
+    half = robot.predict(states, t=[t[-1] / 2], signals={"heat": [0.0]})
     np.testing.assert_allclose(drive_torques(path, states), half, atol=0.1)
 
 

@@ -1,16 +1,20 @@
 """The command ``simulate``: simulation of a saved robot against a recording."""
 
 import json
+import shlex
 import warnings
+from dataclasses import replace
 
 import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _input
+from sklearn_vbjfa._cli._parser import Refused, command_line, parse
 from sklearn_vbjfa._cli._run import Result, render_template
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.effects import CommandDelay
+from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.fit import signed
 from sklearn_vbjfa.inspection import refusal
 from sklearn_vbjfa.model import DoubtWarning
@@ -18,8 +22,9 @@ from sklearn_vbjfa.recording import OfferedSignals
 from sklearn_vbjfa.robot import follow_windows
 
 _TABLE = "simulation.csv"
-# Relative tolerance between sample periods.
-_TOLERANCE = 0.01
+# Options by which a log is read; one given replaces its group.
+_OPTIONS = [{"columns", "preset"}, {"gain", "drive"}]
+_OPTIONS += [{x} for x in ("topic", "dt", "time_unit", "join", "joints")]
 
 
 def simulate(arguments, folder):
@@ -29,7 +34,11 @@ def simulate(arguments, folder):
     out = _input.output_folder(arguments, "simulation")
     path = _input.expand(arguments.model)
     robot = load_identified(path / "identified.json" if path.is_dir() else path)
-    recording = _recording(arguments, robot, folder)
+    recording, arguments, taken = _recording(arguments, robot, folder)
+    if (dt := recording.dt) != robot.dt:
+        estimator = fit_states(dt, "auto", recording.q, recording.groups)
+        plan = replace(robot.plan, dt=dt, state_estimator=estimator)
+        robot = replace(robot, plan=plan)
     with _input.naming_input(arguments):
         windows = _windows(arguments, robot, recording)
     places = [_window_place(recording, windows, k) for k in range(windows.n_windows)]
@@ -43,6 +52,7 @@ def simulate(arguments, folder):
     text = render_template(
         "simulation.txt.j2",
         recording=recording,
+        taken=taken,
         seconds=arguments.window,
         windows=windows,
         errors=_error_columns(windows),
@@ -61,7 +71,12 @@ def simulate(arguments, folder):
 
 
 def _recording(arguments, robot, folder):
+    """Return the recording, the arguments that read it, and options of the report."""
     names, has_gains = robot.joint_names_, robot.gains_ is not None
+    urdf = folder / "robot.urdf"
+    urdf.write_text(robot.description_, encoding="utf-8")
+    taken = _options_of_report(arguments)
+    arguments = parse(shlex.split(command_line(arguments, taken))[3:])
     given = arguments.gain not in (None, "unknown")
     if given if has_gains else arguments.gain == "unknown":
         units = "the units of its channels" if has_gains else "N m or N"
@@ -69,29 +84,18 @@ def _recording(arguments, robot, folder):
             f"{arguments.model} was identified with torques in {units}; "
             f"{'leave --gain out' if has_gains else 'give the factors (--gain)'}."
         )
-    urdf = folder / "robot.urdf"
-    urdf.write_text(robot.description_, encoding="utf-8")
     gains = "unknown" if has_gains else arguments.gain
     given = arguments, urdf, arguments.joints or names, gains
     try:
         recording = _input.read(*given)
-    except ValueError:
-        # Retry with the column names of the recording used for identification.
-        if arguments.columns or not (columns := _columns_of(arguments.model)):
-            raise
-        arguments.columns = columns
-        recording = _input.read(*given)
+    except ValueError as error:
+        reason = f"{error}{' (read with the options of the report)' if taken else ''}"
+        raise Refused(reason, **getattr(error, "options", {})) from error
     source = _input.log_name(arguments)
     if set(recording.joint_names) != set(names):
         raise ValueError(
             f"{source}: has the joints {', '.join(recording.joint_names)}; expected "
             f"those of {arguments.model}: {', '.join(names)}."
-        )
-    if robot.dt is not None and abs(recording.dt - robot.dt) > _TOLERANCE * robot.dt:
-        raise ValueError(
-            f"{source}: is sampled every {recording.dt:.6g} s, and {arguments.model} "
-            f"was identified at {robot.dt:.6g} s; resample the recording to that "
-            "period, or identify from this one."
         )
     findings = _input.findings(arguments, recording, urdf, gains)
     measured = arguments.drive is None and not has_gains
@@ -102,27 +106,27 @@ def _recording(arguments, robot, folder):
     for finding in findings:
         if finding.severity != "note":
             warnings.warn(f"{source}: {finding.message}", DoubtWarning, stacklevel=2)
-    return recording
+    return recording, arguments, taken
 
 
-def _columns_of(model):
-    """Return the option --columns from the report of a saved robot, or None."""
-    path = _input.expand(model)
+def _options_of_report(arguments):
+    """Return the options of the report of a saved robot that are not given."""
+    path = _input.expand(arguments.model)
     path = (path if path.is_dir() else path.parent) / "report.json"
     if not path.is_file():
-        return None
+        return {}
     # Reports of gravity compensation have no provenance.
     provenance = json.loads(path.read_text(encoding="utf-8")).get("provenance", {})
-    return provenance.get("options", {}).get("columns")
+    wanted = [x for x in _OPTIONS if x.isdisjoint(arguments.typed)]
+    options = provenance.get("options", {}).items()
+    return {x: text for x, text in options if x in set().union(*wanted)}
 
 
 def _windows(arguments, robot, recording):
-    """Simulate windows from torques, or from commands of a position drive."""
     drive, signals = arguments.drive, OfferedSignals.from_recording(recording)
     settings = {"window": arguments.window, "signals": signals}
     if drive is not None and drive.uses_positions:
         if any(isinstance(x, CommandDelay) for x in robot.effects_):
-            # Use the fitted delay.
             drive = clone(drive).set_params(delay="auto")
         return follow_windows(robot, drive, recording, **settings)
     if drive is not None and drive.unsigned:
@@ -137,7 +141,6 @@ def _window_place(recording, windows, k):
     label = recording.groups[row]
     begin = (row - recording.segments[label].start) * recording.dt
     names = recording.group_names
-    # A single recording has the name of its file.
     name = recording.name if len(names) == 1 else names[label]
     return name, begin, begin + windows.t[k, -1] - windows.t[k, 0]
 

@@ -2,10 +2,12 @@
 
 import csv
 import functools
+import json
 import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier, load_identified
@@ -151,12 +153,29 @@ def test_invalid_arguments_are_refused(argv, message, good, urdf, saved, capsys)
     assert [path.name for path in good.parent.iterdir()] == ["arm.csv"]
 
 
-def test_a_recording_of_another_rate_is_refused(saved, recording, tmp_path, capsys):
+def test_a_recording_of_another_rate(good, saved, recording, tmp_path, capsys):
     source = tmp_path / "slow.npz"
     np.savez(source, q=recording.q[::2], tau=recording.tau[::2], dt=0.01)
-    line = refusal(capsys, source, "--model", saved)
-    assert "slow.npz: is sampled every 0.01 s" in line
-    assert "was identified at 0.005 s" in line
+    found = [table(printed(capsys, x, "--model", saved)) for x in (good, source)]
+    for name, (error, *_) in found[0].items():
+        assert found[1][name][0] == pytest.approx(error, rel=0.1)
+
+
+def test_a_log_is_read_as_that_of_the_report(good, saved, tmp_path, capsys):
+    first = table(printed(capsys, good, "--model", saved))
+    options = {"columns": "q=pos_{i},tau=amps_{i},t=t", "gain": "-2,4"}
+    report = {"provenance": {"options": options | {"effects": "none"}}}
+    (tmp_path / "identified.json").write_text(saved.read_text())
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    names = ["t", "pos_1", "pos_2", "amps_1", "amps_2"]
+    log = pd.read_csv(good).set_axis(names, axis=1) / [1, 1, 1, -2, 4]
+    log.to_csv("raw.csv", index=False)
+    text = printed(capsys, "raw.csv", "--model", tmp_path)
+    assert table(text) == first
+    assert f': --columns "{options["columns"]}" --gain "-2,4"\n' in text
+    assert "options of the report" in refusal(capsys, good, "--model", tmp_path)
+    words = "--columns", "q=q{i},tau=tau{i},t=t", "--gain", "1,1"
+    assert table(printed(capsys, good, "--model", tmp_path, *words, "--force")) == first
 
 
 def test_no_file_is_partially_written(good, saved, capsys, monkeypatch):

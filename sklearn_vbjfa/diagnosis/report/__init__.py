@@ -9,6 +9,5 @@ _MODULES = {
     "_facts": ("SECONDS",),
     "_pictures": ("HEIGHT", "WIDTH", "ticks"),
     "_render": ("environment",),
-    "_words": ("documentation_of",),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -6,7 +6,6 @@ import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import OfRobot
-from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 # Factor from a SI unit to the unit of display.
 _DISPLAY = {"rad": (180.0 / math.pi, "degrees"), "m": (1e3, "mm")}
@@ -135,13 +134,7 @@ def to_record(outcome, status, signal_advice, no_period):
 
 
 def agrees(mass, nominal, least=_MASS_RATIO):
-    """Whether a mass agrees with that of the robot description."""
     return min(mass, nominal) >= least * max(mass, nominal)
-
-
-def with_half(value, std):
-    """Format a value with the half-width of its 90 % interval."""
-    return words.with_error(value, (value - HALF_WIDTH * std, value + HALF_WIDTH * std))
 
 
 def error_rows(outcome, left_out=()):

@@ -50,11 +50,9 @@ class Plot:
             self.shapes.append((kind, path))
 
     def zero(self):
-        """Add a horizontal line at zero."""
         self.add("zero", f"M0 {self.down(0.0):.1f}H{WIDTH}")
 
     def line(self, kind, x, y):
-        """Add a line, interrupted by nan."""
         out, pen = [], "M"
         for a, b in zip(self.across(x), self.down(y)):
             out += [f"{pen}{a:.1f} {b:.1f}"] if np.isfinite(b) else []
@@ -62,13 +60,11 @@ class Plot:
         self.add(kind, "".join(out))
 
     def cloud(self, x, y):
-        """Add dots, as strokes of zero length."""
         inside = (x >= self.x[0]) & (x <= self.x[1])
         points = zip(self.across(x[inside]), self.down(y[inside]))
         self.add("cloud", "".join(f"M{a:.1f} {b:.1f}h0" for a, b in points))
 
     def band(self, half):
-        """Add a band around zero, over the full width."""
         up, down = self.down([half, -half])
         self.add("floor", f"M0 {up:.1f}H{WIDTH}V{down:.1f}H0Z")
 

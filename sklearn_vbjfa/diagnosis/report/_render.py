@@ -74,7 +74,9 @@ _FUNCTIONS = {name: x for name, x in vars(words).items() if callable(x)} | {
     "ticks": _pictures.ticks,
     "value_cells": _facts.value_cells,
     "width": _pictures.WIDTH,
-    "with_half": _facts.with_half,
+    "with_half": lambda x, std: words.with_error(
+        x, (x - HALF_WIDTH * std, x + HALF_WIDTH * std)
+    ),
     "zip": zip,
 }
 
@@ -120,7 +122,6 @@ class Renderer:
         return line(getattr(self._module, name)(*values))
 
     def text(self):
-        """Render the report for a terminal."""
         template = environment(False).get_template("terminal.txt.j2")
         text = template.render(self.values, table=text_table)
         return re.sub(r"\n{2,}(?=- )", "\n", text).strip("\n")

@@ -4,6 +4,7 @@ import dataclasses
 import math
 import numbers
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from sklearn.base import BaseEstimator
@@ -85,7 +86,7 @@ class Report:
         ]
         joints = [
             f"{text} ({words.joint_list(robot['joints'], [x.joint for x in same], 0)})"
-            for text, same in _facts.grouped(unusable, lambda joint: joint.text)
+            for text, same in _facts.grouped(unusable, partial(say, "warning_text"))
         ]
         contradictions = [say("contradiction")] if findings["contradictions"] else []
         kinds = ("gains_unknown", "gains_hidden", "masses_unused")

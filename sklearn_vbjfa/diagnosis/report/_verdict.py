@@ -7,6 +7,8 @@ import numpy as np
 from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR, NO_INFORMATION, WORSE, rises
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import TorqueGain
+from sklearn_vbjfa.recording import PDDrive
+from sklearn_vbjfa.robot._exports import UNSTABLE
 
 # Relative error of predicting the mean of the held-out torque, and errors above which
 # uses are forbidden and qualified.
@@ -76,7 +78,6 @@ class Verdict:
 
 
 def judge(outcome):
-    """Judge an outcome, as a `Verdict`."""
     findings, names = outcome.findings, outcome.robot["joints"]
     joints = tuple(
         JointVerdict(
@@ -181,6 +182,9 @@ def _uses(outcome, faults, joints, rose):
     # Without a torque sensor, a wrong gain is an error of the control law itself.
     gains = [x.joint for x in effects if x.name == TorqueGain.name and not x.warning]
     wrong = {"gain": gains} if gains and outcome.robot["drive"] else {}
+    export, drive = outcome.provenance.get("export", ()), outcome.robot["drive"] or {}
+    unstable = any(text.startswith(UNSTABLE) for text in export)
+    followed = drive.get("kind") == PDDrive.__name__
     uses = []
     for name, forbidden in (
         ("feedforward", _UNTRUSTED),
@@ -193,6 +197,8 @@ def _uses(outcome, faults, joints, rose):
             code = verdict.status if verdict.status in forbidden else verdict.detail
             if code in (*forbidden, "large"):
                 causes.setdefault(code, []).append(verdict.joint)
+        if name == "simulation" and unstable and not (overall or followed):
+            causes["unstable"] = []
         if allowed := not causes:
             qualified = dict(noted)
             if name == "simulation":
@@ -200,8 +206,8 @@ def _uses(outcome, faults, joints, rose):
             elif name == "collision detection":
                 qualified["far"] = [x.joint for x in joints if x.detail == "far"]
             causes |= {code: x for code, x in qualified.items() if x}
-            if name == "simulation" and outcome.provenance.get("export"):
-                causes["approximate"] = []
+            if name == "simulation" and export:
+                causes["followed" if unstable else "approximate"] = []
         uses.append(Use(name=name, allowed=allowed, causes=tuple(causes.items())))
     return (*uses, *_masses(outcome, overall))
 

@@ -1,13 +1,12 @@
 """Labels and number formats of a report."""
 
 import functools
-import importlib.metadata
 import math
 import re
 
 import numpy as np
 
-from sklearn_vbjfa.effects import OfRobot, available
+from sklearn_vbjfa.effects import OfRobot
 
 _MIN_P = 1e-12
 # Logarithm of the odds of a million to one.
@@ -78,19 +77,6 @@ def rival_labels(outcome, effect):
     return list(dict.fromkeys(x.removesuffix(f" on {here}") for x in labels))
 
 
-def documentation_of(name):
-    """Return the URL of an effect's page; empty without a documentation URL."""
-    try:
-        urls = importlib.metadata.metadata("sklearn-vbjfa").get_all("Project-URL", [])
-    except importlib.metadata.PackageNotFoundError:
-        return ""
-    pairs = (entry.partition(",") for entry in urls)
-    address_of = {label.strip().lower(): url.strip() for label, _, url in pairs}
-    if name not in available() or "documentation" not in address_of:
-        return ""
-    return f"{address_of['documentation'].rstrip('/')}/effects/{name}.html"
-
-
 def number(value, digits=3):
     """Format a number briefly, with an exponent only if necessary."""
     if value is None or not math.isfinite(value):
@@ -120,7 +106,6 @@ whole_percent = functools.partial(percent, digits=0)
 
 
 def p_text(value):
-    """Format a p-value."""
     if value is None or not math.isfinite(value):
         return "p unknown"
     if value < _MIN_P:
@@ -192,7 +177,6 @@ def join(parts, most=3, word="and"):
 
 
 def plural(count, noun):
-    """Format a count with its noun."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 

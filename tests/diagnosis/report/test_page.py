@@ -1,6 +1,5 @@
 """The HTML page: structure, escaping, size, figures, provenance and links."""
 
-import importlib.metadata
 import re
 from dataclasses import replace
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
-from sklearn_vbjfa.diagnosis.report import HEIGHT, WIDTH, documentation_of
+from sklearn_vbjfa.diagnosis.report import HEIGHT, WIDTH
 from tests.diagnosis.report._outcomes import finding, make_outcome
 from tests.diagnosis.report._pages import FILES, figures, made, parsed, section_of
 
@@ -175,21 +174,6 @@ def test_outliers_are_cut_off_and_noted():
     axis = re.search('class="y-axis">(.*?)</div>', spiked, re.DOTALL)[1]
     assert max(float(x) for x in re.findall(r">([^<>]+)</span>", axis)) <= 4
     assert "values to 500" in spiked
-
-
-def test_effects_link_to_their_documentation(monkeypatch):
-    class Metadata:
-        def get_all(self, key, default):
-            return ["Homepage, https://h.org", *urls]
-
-    monkeypatch.setattr(importlib.metadata, "metadata", lambda name: Metadata())
-    urls = []
-    assert documentation_of("ripple") == ""
-    urls = ["Documentation, https://docs.example.org/"]
-    address = "https://docs.example.org/effects/ripple.html"
-    assert documentation_of("ripple") == address
-    assert documentation_of("my_own_effect") == ""
-    assert f'<a href="{address}">' in Report(made(n_effects=3)).to_html()
 
 
 def test_page_shows_the_provenance(html):

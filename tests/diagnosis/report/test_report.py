@@ -119,7 +119,8 @@ def test_each_joint_has_a_verdict():
     assert "0.31 s" in report.joints[2].text
     # Joints with too few samples are not part of the mean.
     mean = words.percent(after[[0, 1, 3]].mean())
-    assert f"data {mean}" in report.verdict
+    assert f"Mean error of joints 1, 2 and 4 on held-out data {mean}" in report.verdict
+    assert "too little motion for a verdict (joint 3)" in report.warnings
 
 
 def test_a_faulty_channel_comes_first():

@@ -7,6 +7,7 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.inspection import JointMotion
+from sklearn_vbjfa.robot._exports import UNSTABLE
 from tests.diagnosis.report._outcomes import changed, finding, make_outcome
 from tests.diagnosis.report._pages import line_of, make_mass
 from tests.diagnosis.report.test_report import STATUS
@@ -24,13 +25,19 @@ def test_all_uses_are_allowed_at_the_noise_floor():
     assert "Do not use for" not in printed
 
 
-def test_a_mujoco_file_that_moves_differently_qualifies_the_simulation():
-    outcome, warning = make_outcome(channels=()), "identified.xml moves (joint2 4 %)"
-    provenance = outcome.provenance | {"export": (warning,)}
-    report = Report(changed(outcome, provenance=provenance))
-    assert "(identified.json; the MuJoCo file is an approx" in line_of(report)
-    assert report.uses[1].allowed
-    assert report.to_dict()["warnings"] == [warning]
+def test_findings_of_the_export_qualify_the_simulation():
+    outcome = make_outcome(channels=())
+    for drive, warning, reason in (
+        (None, "identified.xml moves (joint2 4 %)", "identified.json; the MuJoCo"),
+        (None, f"{UNSTABLE}: why", "diverges without feedback"),
+        ({"kind": "PDDrive"}, f"{UNSTABLE}: why", "only under its drive"),
+    ):
+        changes = {"provenance": outcome.provenance | {"export": (warning,)}}
+        changes |= {"robot": outcome.robot | {"drive": drive}}
+        report = Report(replace(outcome, **changes))
+        assert report.uses[1].reason.startswith(reason)
+        assert report.uses[1].allowed == ("diverges" not in reason)
+        assert report.to_dict()["warnings"] == [warning]
 
 
 def test_effects_without_simulation_qualify_the_simulation():

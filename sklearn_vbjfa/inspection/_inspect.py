@@ -51,9 +51,7 @@ class Hypothesis:
         if odds <= number.DECISIVE:
             return None
         rivals = (getattr(reading.robot, name) for name in self.surpasses.split())
-        if any(proposal.log_odds < rival_odds for rival_odds in rivals):
-            return None
-        return proposal, odds
+        return None if any(proposal.log_odds < x for x in rivals) else (proposal, odds)
 
     def finding(self, reading, candidate, odds, rivals=()):
         """Return the finding; rivals: names of nearly as probable hypotheses."""
@@ -61,13 +59,15 @@ class Hypothesis:
         if candidate.fall > 0.01 * reading.nv:
             fall = np.exp(candidate.fall / reading.robot.joints.size)
             evidence = f"squared errors fall by the factor {fall:.3g}, {evidence}"
-        kind, severity = (
-            candidate.kind or self.name,
-            candidate.severity or self.severity,
-        )
-        facts = {"evidence": evidence, "rivals": rivals, **candidate.facts}
-        facts |= {"value": candidate.value, "remedy": candidate.remedy}
-        return finding(kind, reading.names, candidate.joints, severity, **facts)
+        severity = candidate.severity or self.severity
+        # Refusing a log without a fault is worse than missing a fault, and errors in a
+        # motion are correlated, unlike those of poses.
+        if severity == "error" and odds <= number.FAR_ODDS and not reading.poses:
+            severity = "warning"
+        facts = {"value": candidate.value, "remedy": candidate.remedy, "rivals": rivals}
+        facts |= {"evidence": evidence, **candidate.facts}
+        arguments = reading.names, candidate.joints, severity
+        return finding(candidate.kind or self.name, *arguments, **facts)
 
 
 # fmt: off
@@ -181,6 +181,7 @@ def inspect_as(recording, model, **settings):
     groups = np.asarray(recording.group_names)[recording.groups]
     channels = recording.q, bridged(recording).tau, recording.dt, groups
     settings |= {"named": recording.joints_named, "weight": recording.weight}
+    settings["timed"] = recording.t is not None
     settings["feedback"], wrong = recording.feedback, tuple(wrong_states(recording))
     return wrong or inspect_channels(model, *channels, **settings)
 
@@ -203,27 +204,16 @@ def common_lag(findings):
 
 
 def inspect_channels(
-    model,
-    q,
-    tau,
-    dt,
-    groups=None,
-    *,
-    drive=None,
-    gains=None,
-    bodies="prior",
-    named=False,
-    weight=None,
-    feedback=None,
-    poses=None,
+    model, q, tau, dt, groups=None, *, bodies="prior", weight=None, timed=False, **known
 ):
     """Inspect channels that are given as arrays; see `inspect_recording`."""
     # q, tau (n_samples, nv): as in `Recording`; tau may be a motor quantity.
-    # drive, gains, bodies: as in `RobotIdentifier`. For commands, only the order of
-    # magnitude is tested; if gains are identified, no scale of a torque is a fault; if
-    # bodies are free, no common scale is. named: whether channels carry the joints'
-    # names; weight (n_samples, nv): zero for samples to ignore; poses: static samples.
-    robot, dt = load_folded(model), check_dt(dt)
+    # bodies: as in `RobotIdentifier`; if free, no common scale of torques is a fault.
+    # weight (n_samples, nv): zero for samples to ignore; timed: whether messages give
+    # times, since rows may be interpolated. known: drive, named, feedback, gains and
+    # poses of `Reading`. For commands, only the order of magnitude is tested; if gains
+    # are identified, no scale of a torque is a fault.
+    robot, dt, poses = load_folded(model), check_dt(dt), known.get("poses")
     # Column-major order, since channels are processed one by one.
     q, tau = (np.asarray(x, dtype=float, order="F") for x in (q, tau))
     names = joint_names(robot.model)
@@ -241,7 +231,18 @@ def inspect_channels(
         return findings_in_order(shuffled)
     if len(rows) < len(q):
         q, tau = q[rows], tau[rows]
-    log = Rows(robot, names, q, tau, dt, parts, rows)
+    recordings = recording_names(groups, [part.start for part in all_parts])
+    sizes = (part.stop - part.start for part in all_parts)
+    recordings = [x for x, n in zip(recordings, sizes) if n >= number.MIN_SAMPLES]
+
+    def place(row):
+        if not timed:
+            return f"row {rows[row]}"
+        k = next(k for k, part in enumerate(parts) if row < part.stop)
+        origin = f"in {recordings[k]}" if len(parts) > 1 else "after the start"
+        return f"{(row - parts[k].start) * period:.6g} s {origin}"
+
+    log, period = Rows(robot, names, q, tau, dt, parts, place), dt
     if weight is not None:
         log.usable &= weight[rows] > 0
         log.counted &= log.usable.any(axis=1)
@@ -256,15 +257,13 @@ def inspect_channels(
         rows, parts = subsample(parts, log.every)
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
-    settings = drive, named, feedback, gains
-    reading = Reading(robot, names, q, tau, dt, parts, usable, *settings, poses=poses)
-    recordings = recording_names(groups, [part.start for part in all_parts])
-    sizes = (part.stop - part.start for part in all_parts)
-    recordings = [x for x, n in zip(recordings, sizes) if n >= number.MIN_SAMPLES]
+    reading = Reading(robot, names, q, tau, dt, parts, usable, **known)
     findings = _compare_recordings(reading, recordings)
-    excluded = {*(() if gains is None else _SCALE_KINDS)}
+    excluded = {*(() if reading.gains is None else _SCALE_KINDS)}
     excluded |= {"torque_unit"} if bodies == "free" else set()
-    excluded |= {"unsigned_torque"} if drive is not None and drive.unsigned else set()
+    excluded |= (
+        {"unsigned_torque"} if getattr(reading.drive, "unsigned", False) else set()
+    )
     # Faulty rows do not show whether the log is of another robot.
     excluded |= {"other_robot" * any(x.severity != "note" for x in log.findings)}
     findings = [x for x in findings if x.kind not in excluded]
@@ -297,17 +296,32 @@ def _compare_recordings(reading, names):
     several = 1 < len(found) <= number.MANY
     outliers = [k for k in found if several and reading.robot.deviates(labels == k)]
     others = sorted(set(range(len(reading.parts))) - set(outliers))
+    if outliers:
+        rest = reading.robot.signals.select_rows(np.isin(labels, others))
+        others = others if rest.informative().any() else []
     alone = {k: _compare(reading.select_parts([k], alone=True)) for k in outliers}
     pairs = [(k, x) for k, xs in alone.items() for x in xs if x.kind != "unverified"]
-    if not outliers or (not others and len({k for k, _ in pairs}) == len(outliers)):
+    lags = [x for x in pairs if x[1].severity == "note" and _is_common(reading, *x)]
+    pairs = [pair for pair in pairs if pair not in lags]
+    all_wrong = not others and len({k for k, _ in pairs}) == len(outliers)
+    if not outliers or all_wrong or (lags and not pairs):
         return _compare(reading)
     common = _compare(reading.select_parts(others)) if others else _unverified(reading)
     # A fit may correct a fault of all recordings, but not one of a single recording.
     for k, x in pairs:
         severity = "error" if x.severity == "error" else "warning"
         message = f"Recording {names[k]} alone: {x.message}"
-        common += [replace(x, severity=severity, message=message, remedy={})]
+        common.append(replace(x, severity=severity, message=message, remedy={}))
     return common
+
+
+def _is_common(reading, k, late):
+    """Whether a lag of one recording alone is as probable for all of them."""
+    signals = reading.robot.signals
+    shift = late.value / reading.dt * signals.slope
+    shifts = shift, shift * (signals.recording == k)[:, None]
+    each, alone = (reading.robot.fit(tau=signals.tau + x).evidence for x in shifts)
+    return each > alone - number.RIVAL
 
 
 def _apply_hypotheses(reading):

@@ -300,6 +300,11 @@ class DescribedRobot:
             errors.append(residual[rows, j].var() / dof / (torque[rows].var() + 1e-300))
         return np.sqrt(errors)
 
+    @functools.cached_property
+    def explained(self):
+        """Joints (k,) of which a separate fit explains most of the torque."""
+        return self.joints[self.errors() < number.WORST]
+
     def friction(self, j):
         """Columns (n, k) of viscous and Coulomb friction, rotor inertia and offsets."""
         q, v, a = self.signals.states[:, j :: self.bodies.nv].T

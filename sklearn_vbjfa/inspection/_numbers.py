@@ -98,8 +98,9 @@ LEAST_NOISE, LEAST_VARIANCE, INDEPENDENT = 1e-7, 1e-12, 0.05
 MIN_SAMPLES, FEWEST_ROWS, ROWS_PER_PARAMETER, ENOUGH_ROWS = 64, 70, 2, 120
 # The cut-off is this multiple of the frequency that contains 90 % of the velocity's
 # power, and at least this many periods per longest recording. The cut-off of the states
-# is at least the last multiple of that frequency.
-CUTOFF_PER_BANDWIDTH, CUTOFF_PERIODS, SMOOTH = 9.0, 36.0, 5.5
+# is at least the last multiple of that frequency. Largest frequency of a joint relative
+# to the median joint.
+CUTOFF_PER_BANDWIDTH, CUTOFF_PERIODS, SMOOTH, BANDWIDTHS = 9.0, 36.0, 5.5, 10.0
 # A joint is at rest below this share of its 99.5 % quantile of speed.
 # Least moving share of the filter window in rows that count as moving, or throughout.
 STANDSTILL, MOVING, THROUGHOUT = 0.02, 0.9, 0.98

@@ -250,6 +250,14 @@ def _excess(model, q):
     return np.maximum(np.where(limited, excess, turns), 0.0)
 
 
+def _outside(model, q):
+    """Return which joints are beyond their limits, whatever the zeros of some."""
+    outside, (low, high, limited) = _excess(model, q) > 0, _limits(model)
+    if 3 * np.count_nonzero(outside) >= outside.size:
+        return outside
+    return outside & (np.ptp(q, axis=0) > limited * (high - low))
+
+
 def units(reading):
     """Return positions in degrees, turns, or motor positions."""
     revolute, q, model = ~reading.slides, reading.q, reading.model
@@ -266,11 +274,18 @@ def units(reading):
     extra = 2 * number.DECISIVE * (far.any() or many)
     required, matches = -np.inf if far.any() else clear_of_all(reading), []
     for joints, unit, symbol, factor in options:
-        change = Change(positions=times(reading.nv, factor, np.flatnonzero(joints)))
+        scaling = functools.partial(_scaling, np.log(factor), np.flatnonzero(joints))
+        change = scaling(reading.nv)
         # The converted positions must be within the limits.
-        if (_excess(model, q @ change.positions) * joints > 0).any():
+        if (_outside(model, q @ change.positions) & joints).any():
             continue
         match = judge(reading, change, required, kind=f"position_{unit}")
+        sizes = reading.robot_after(change).sizes
+        if reading.gains is None and np.nanquantile(sizes, 1 / 3) < 1 / number.SCALE:
+            # Positions and torques of motors have the power of those of the joints.
+            change = scaling(reading.nv, geared=True)
+            geared = judge(reading, change, required, kind="position_unit:motor")
+            match = most_probable([match, geared])
         if match is None:
             continue
         j = max(match.joints, key=lambda k: np.ptp(q[:, k]))
@@ -280,7 +295,7 @@ def units(reading):
     best = most_probable(matches)
     if best is None or best.log_odds + number.PRIOR < number.DECISIVE:
         return best
-    return _with_ratios(reading, best)
+    return _with_ratios(reading, best) or (best if far.any() else None)
 
 
 def unit_remedy(reading, channel, symbol, joints):
@@ -295,14 +310,18 @@ def unit_remedy(reading, channel, symbol, joints):
 
 def _with_ratios(reading, best):
     """Return positions in a unit as motor positions if joints have other factors."""
-    joints, after = list(best.joints), reading.apply(best.change)
-    if after.is_uninformative():
+    joints, change, after = list(best.joints), best.change, reading.apply(best.change)
+    geared = change.torques is not None
+    best = replace(best, change=None) if geared else best
+    scaling = functools.partial(_scaling, nv=reading.nv, geared=geared)
+    # With another zero, ratios would be wrong.
+    if after.is_uninformative() or _excess(reading.model, after.q)[joints].any():
         return best
-    nv, starts = reading.nv, [_scaling(x, joints, reading.nv) for x in number.RATIOS]
-    moves = [_scaling(x, j, nv) for x, j in product(number.RATIOS, joints)]
+    starts = [scaling(x, joints) for x in number.RATIOS]
+    moves = [scaling(x, j) for x, j in product(number.RATIOS, joints)]
     ratios = climb(after, moves, starts, number.SETTLED)
-    steps = [functools.partial(_scaling, j=j, nv=nv) for j in joints]
-    ratios, errors = refine(after, _scaling(0.0, joints, nv).then(ratios), steps)
+    steps = [functools.partial(scaling, j=j) for j in joints]
+    ratios, errors = refine(after, scaling(0.0, joints).then(ratios), steps)
     fit, known = judge(after, ratios, clear_of_all(after)), errors < number.KNOWN_RATIO
     if fit is None or not fit.clear or fit.log_odds + number.PRIOR < number.DECISIVE:
         return best
@@ -310,8 +329,9 @@ def _with_ratios(reading, best):
     if not determined:
         # Neither that unit nor a factor, for instance if the sample period is wrong.
         return None
-    determined = _ratios(reading, best.change.then(ratios), determined, errors[known])
+    determined = _ratios(reading, change.then(ratios), determined, errors[known])
     facts = dict(best.facts) | {"each": determined}
+    facts["power"] = ", and multiply their torques by them" * geared
     return replace(best, kind="position_unit", change=None, facts=facts)
 
 
@@ -356,6 +376,9 @@ def encoder_counts(reading):
     model, names, q, revolute = reading.model, reading.names, reading.q, ~reading.slides
     degrees = np.where(revolute, np.pi / 180, 1.0)
     far, as_degrees = _excess(model, q) > number.FAR_BEYOND, _excess(model, q * degrees)
+    if 3 * np.count_nonzero(far) > 2 * far.size:
+        # Among other degrees, some may have another zero.
+        as_degrees = as_degrees * _outside(model, q * degrees)
     travel = np.ptp(q, axis=0)
     whole = (q == np.round(q)).all(axis=0) & (travel >= number.FEWEST_COUNTS)
     # Whole numbers within the limits in degrees are degrees.

@@ -188,10 +188,12 @@ def _cutoffs(q, dt, parts):
     spectra = _smoothing.acceleration_spectra([moving[part] for part in parts], dt)
     top, noise = _smoothing.choose_cutoff(*spectra, dt)
     frequency, power, gain, _ = spectra
-    bandwidth = max(
+    bandwidths = [
         _smoothing.velocity_bandwidth(frequency, x, gain, variance, most, 0.9)
         for x, variance, most in zip(power.T, noise, top)
-    )
+    ]
+    # A far larger one is that of coloured noise.
+    bandwidth = min(max(bandwidths), number.BANDWIDTHS * np.median(bandwidths))
     lowest = number.CUTOFF_PERIODS / (longest * dt)
     cutoff = max(number.CUTOFF_PER_BANDWIDTH * bandwidth, lowest)
     top = np.clip(top.max(), number.SMOOTH * bandwidth, 2 * cutoff)
@@ -417,7 +419,7 @@ def refine(reading, change, steps):
     """Refine a change by Gauss-Newton along steps; also their standard errors."""
     # steps: functions from a step size to the change to append.
     best, errors = reading.fit_change(change), np.full(len(steps), np.inf)
-    for _ in range(number.PASSES if best is not None and steps else 0):
+    for _ in range(4 * number.PASSES if best is not None and steps else 0):
         robot = reading.robot_after(change)
         after = [
             change.then(make(x)).signals(reading.signals)

@@ -17,13 +17,13 @@ class Rows:
     """Rows of a log, and the faults that checks find in them."""
 
     # q [rad or m], tau [N m or N] (n, nv): unwrapped, and interpolated over lost rows,
-    # by the first checks; parts: slices of the recordings, which hold all rows; rows
-    # (n,): row numbers for messages.
+    # by the first checks; parts: slices of the recordings, which hold all rows; place:
+    # returns the place of a row, as text.
 
-    def __init__(self, robot, names, q, tau, dt, parts, rows):
+    def __init__(self, robot, names, q, tau, dt, parts, place):
         self.robot, self.revolute = robot, ~is_prismatic(robot.model)
         self.names, self.q, self.tau, self.dt = names, q, tau, dt
-        self.parts, self.rows = parts, rows
+        self.parts, self.place = parts, place
         self.findings = []
         self.label = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
         self.first = np.isin(np.arange(len(q)), [part.start for part in parts])
@@ -77,7 +77,7 @@ class Rows:
         """Add a finding, optionally on runs of rows (first, last)."""
         if len(runs):
             longest = max(b - a + 1 for a, b in runs)
-            facts |= {"times": len(runs), "row": self.rows[runs[0][0]]}
+            facts |= {"times": len(runs), "place": self.place(runs[0][0])}
             facts |= {"count": sum(b - a + 1 for a, b in runs), "longest": longest}
             facts |= {"share": percent(facts["count"] / len(self.q))}
             facts |= {"seconds": longest * self.dt}
@@ -132,7 +132,7 @@ def _check_wraps(log):
         for j in jumps:
             log.q[:, j] = _unwrapped(log, log.q[:, j], turn)
         rows = np.concatenate(list(jumps.values()))
-        facts = {"count": rows.size, "row": log.rows[rows.min()], "turn": text}
+        facts = {"count": rows.size, "place": log.place(rows.min()), "turn": text}
         log.report("wrapped_position", list(jumps), "error", **facts)
 
 
@@ -146,7 +146,7 @@ def _check_overflows(log):
         step = np.median(np.abs(log.steps(x)[rows])) if rows.size > 1 else 0.0
         is_full = step > (1 - number.EDGE) * span
         if is_full and np.ptp(_unwrapped(log, x, span)) > number.WORST * span:
-            facts = {"count": rows.size, "row": log.rows[rows[0]], "span": span}
+            facts = {"count": rows.size, "place": log.place(rows[0]), "span": span}
             log.report("wrapped_torque", j, "error", **facts)
             log.usable[:, j] = False
 
@@ -488,7 +488,7 @@ def _check_positions(log):
         if stands is not None:
             log.usable[_find_stuck(log, j, stands)] = False
         jumps = [k for k in _find_jumps(log.q[:, j], log.parts) if log.usable[k].any()]
-        log.findings += _jump_findings(log.names, j, log.q[:, j], jumps, log.rows)
+        log.findings += _jump_findings(log.names, j, log.q[:, j], jumps, log.place)
         log.usable[_mask(log.q, [(max(k - 2, 0), k + 1) for k in jumps])] = False
 
 
@@ -549,7 +549,7 @@ def disorder(names, q, parts):
     # Column-major order, since signals are processed one by one.
     jumps, q = [], np.asfortranarray(q)
     for j, x in enumerate(q.T):
-        jumps += _jump_findings(names, j, x, _find_jumps(x, parts), range(len(q)))
+        jumps += _jump_findings(names, j, x, _find_jumps(x, parts), "row {}".format)
     borders = [x for x in jumps if x.severity != "note"]
     return shuffled_rows(names, q, parts) or borders
 
@@ -578,7 +578,7 @@ def _find_jumps(x, parts):
     return jumps if far or len(jumps) <= number.MOST_OUTLIERS * x.size else []
 
 
-def _jump_findings(names, j, x, jumps, rows):
+def _jump_findings(names, j, x, jumps, place):
     """Return the finding on jumps of a position at some rows, or no finding."""
     if not jumps:
         return []
@@ -586,7 +586,7 @@ def _jump_findings(names, j, x, jumps, rows):
     sizes = np.array([x[k] - x[k - 1] for k in jumps])
     pairs = np.add.reduceat(sizes, range(0, len(sizes), 2))
     severity = "note" if abs(pairs).max() < 0.5 * abs(sizes[0]) else "warning"
-    facts = {"count": len(jumps), "step": sizes[0], "row": rows[jumps[0]]}
+    facts = {"count": len(jumps), "step": sizes[0], "place": place(jumps[0])}
     if severity == "warning" and len(jumps) >= number.FEWEST_STEPS:
         return [finding("shuffled_rows:blocks", names, j, "error", **facts)]
     return [finding("position_jumps", names, j, severity, **facts)]

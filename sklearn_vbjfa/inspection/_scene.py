@@ -32,8 +32,8 @@ def weightless(reading):
 
     # A constant weight is not distinguishable from an offset.
     loaded = _loaded(robot, robot.weight - robot.weight.mean(axis=0))
-    gains = {j: gain([j]) for j in loaded}
-    affected, odds = [j for j in loaded if gains[j]], sum(gains.values())
+    gains = {j: gain([j]) for j in loaded if j in robot.explained}
+    affected, odds = [j for j in gains if gains[j]], sum(gains.values())
     # A joint fit is more decisive, since joints carry the same bodies.
     if len(loaded) > 1 and (joint_gain := gain(loaded)) > odds:
         affected, odds = loaded, joint_gain
@@ -96,9 +96,11 @@ def gravity_only(reading):
     # Torques of a gravity model contain no friction.
     if unclear or (fit.power > number.SIGMAS).any():
         return None
-    weight_only = robot.fit(robot.regressor - robot.under_gravity(np.zeros(3))).evidence
+    weight_only = robot.fit(robot.regressor - robot.under_gravity(np.zeros(3)))
+    if weight_only.loss.max() > 2 * np.log(number.GOOD_FIT):
+        return None
     facts = {"part": inertia, "error": error[0]}
-    odds = weight_only - robot.baseline.evidence
+    odds = weight_only.evidence - robot.baseline.evidence
     return Proposal(joints=reading.every, log_odds=odds, facts=facts)
 
 
@@ -196,13 +198,9 @@ def torque_lag(reading):
     seconds = samples * reading.dt
     facts = {"size": 1e3 * abs(seconds), "late": "late" if seconds > 0 else "early"}
     facts |= {"error": 1e3 * number.INTERVAL * error * reading.dt}
-    return Proposal(
-        joints=reading.every,
-        log_odds=lowpass_gain if lowpass else gain,
-        kind="torque_lowpass" if lowpass else "delay:alone" * reading.alone,
-        value=seconds,
-        facts=facts,
-    )
+    kind = "torque_lowpass" if lowpass else "delay:alone" * reading.alone
+    options = {"log_odds": lowpass_gain if lowpass else gain, "kind": kind}
+    return Proposal(joints=reading.every, value=seconds, facts=facts, **options)
 
 
 def _robot_in_motion(reading, after):

@@ -34,23 +34,23 @@ SENTENCES = {
     "positions change by {change:.2g} times their spread in a row. Sort them by time "
     "(no shuffle), and keep those of one robot. "
     "Of single poses `sklearn-vbjfa identify --for gravity` corrects the masses.",
-    "shuffled_rows:blocks": "The position of {who} jumps {count} time(s), first to row "
-    "{row}: blocks of rows are out of order. Sort them, or split them there (groups).",
+    "shuffled_rows:blocks": "The position of {who} jumps {count} time(s), first at "
+    "{place}: blocks of rows are out of order. Sort them, or split them (groups).",
     "wrapped_position": "The position of {who} is wrapped: it jumps by {turn} {count} "
-    "time(s), first to row {row}. Unwrap each recording for itself (numpy.unwrap).",
+    "time(s), first at {place}. Unwrap each recording for itself (numpy.unwrap).",
     "wrapped_torque": "The torque of {who} jumps by {span:.4g} {count} time(s), first "
-    "to row {row}: its integers overflow. Log wider ones, or unwrap it (numpy.unwrap).",
+    "at {place}: its integers overflow. Log wider ones, or unwrap it (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "
     "{mean:.4g}, which is its noise. Name the others in --joints, or record it moving.",
     "still_joint:all": "No joint moves: positions vary by {range:.3g} at most, within "
     "their noise. Check the position columns.",
     "repeated_rows": "{count} rows ({share}) equal the row before them in every "
-    "channel, up to {longest} in a row, the first in row {row}. Leave them out, and "
+    "channel, up to {longest} in a row, the first at {place}. Leave them out, and "
     "split the recording there (groups).",
     "empty_rows": "All torques are zero in {count} rows ({share}) amid the motion, the "
-    "first is row {row}: readings were lost, or two sources were logged together. "
+    "first at {place}: readings were lost, or two sources were logged together. "
     "Leave these rows out.",
-    "empty_rows:off": "All torques are zero {times} time(s), first from row {row} on, "
+    "empty_rows:off": "All torques are zero {times} time(s), first from {place} on, "
     "for up to {seconds:.3g} s, though links have weight: drives were off, or readings "
     "were lost. Leave these rows out.",
     "held_position": _HELD,
@@ -64,14 +64,14 @@ SENTENCES = {
     "the robot moves ({share} of its samples, up to {seconds:.3g} s): readings were "
     "lost. Leave these rows out.",
     "torque_outliers": "The torque of {who} has {count} outlier(s) ({share} of its "
-    "samples), the first in row {row}. Leave these rows out.",
+    "samples), the first at {place}. Leave these rows out.",
     "clipped_torque": "The torque of {who} is clipped at {where}: {share} of its "
     "samples lie there, up to {longest} in a row. Record a slower motion.",
     "stuck_position": "The position of {who} stays at {level:.4g} for {longest} rows "
     "({seconds:.3g} s), without the noise or the braking of a stop ({count} rows in "
-    "all, the first is row {row}): the encoder was stuck. Leave these rows out.",
+    "all, the first at {place}): the encoder was stuck. Leave these rows out.",
     "position_jumps": "The position of {who} jumps {count} time(s), first {step:.3g} "
-    "to row {row}. Split the recording there (groups), or leave wrong samples out.",
+    "at {place}. Split the recording there (groups), or leave wrong samples out.",
     "copied_position": _COPIED,
     "copied_torque": _COPIED,
     "motion_as_torque": "The torques are the {what} of the joints times {factor:.3g}, "
@@ -84,7 +84,12 @@ SENTENCES = {
     "position_turns": _UNIT,
     "position_unit": "The positions of {who} are not in radians or {unit}: {name} runs "
     "from {low:.4g} to {high:.4g}. By the torques, a radian of the joint is in the "
-    "log: {each}. Divide columns of motors by these gear ratios.",
+    "log: {each}. Divide columns of motors by these gear ratios{power}.",
+    "position_unit:motor": "The positions of {who} are those of the motors, or in "
+    "{unit}: {name} runs from {low:.4g} to {high:.4g}. In {unit} the torques are far "
+    "too small ({evidence}). Divide positions of motors by the gear ratios, and "
+    "multiply their torques by them; if they are {unit}, convert them and give the "
+    "factors of the torques to N m.",
     "position_unit:gear": "The position of {who} has another factor: by the torques, a "
     "radian or metre of the joint is in the log: {each} ({evidence}). Divide the "
     "position by this gear factor{power}.",
@@ -119,7 +124,7 @@ SENTENCES = {
     "seconds, or correct the time stamps.",
     "wrong_dt:fast": "Implausible speed: with dt={dt:.6g} s {name} moves at "
     "{speed:.3g} {unit}, and {limit:.3g} would be five times what it can. Give dt in "
-    "seconds, and positions in rad or m.",
+    "seconds, and positions in rad or m, of the joints (not of motors).",
     "wrong_dt:slow": "dt={dt:.6g} s is inconsistent with the motion: the fastest "
     "joint, {name}, moves at {speed:.2g} {unit}, far less than it can. Give dt in "
     "seconds (not milliseconds, nor a rate in Hz).",

@@ -33,7 +33,7 @@ _UNITS = {
 def signs(reading):
     """Return the torques whose signs are wrong: one, some, or all."""
     robot, nv, tau = reading.robot, reading.nv, reading.robot.signals.tau
-    tested = robot.joints[robot.errors() < number.WORST].tolist()
+    tested = robot.explained.tolist()
     if not tested:
         return None
     # Separate fits of each joint first; undecided signs are tested together.
@@ -166,7 +166,7 @@ def separate_scales(reading):
     factors, error, shown, positive = torque_factors(reading.robot, common=False)
     # Far from the others, a factor may be uncertain. If too large, it must be positive,
     # since friction and rotors add to torques. An extreme one needs no fall of errors.
-    joints = reading.robot.joints
+    joints = reading.robot.explained
     logs = np.log(factors[joints])
     without_each = [np.delete(logs, k) for k in range(logs.size)]
     medians = np.array([np.median(x) if x.size else 0.0 for x in without_each])
@@ -203,7 +203,10 @@ def _scale_one(reading, j, factor, error, required):
     units = units or "torque of the motor, a current, or another unit"
     facts = {"factor": factor, "ratio": 1 / factor, "units": units}
     options = {"variants": reading.nv, "kind": "gear_factor", "facts": facts}
-    return judge(reading, change, required, **options)
+    best = judge(reading, change, required, **options)
+    # Springs, too, explain a torque that the described bodies do not.
+    far = best and best.log_odds > reading.robot.springs + number.FAR_ODDS
+    return best if far else None
 
 
 def beyond_limits(reading):

@@ -49,6 +49,8 @@ FAULTS = {
     "turns": ("position_turns", None, lambda q, y, w: (q / (2 * np.pi), y)),
     "degrees": ("position_degrees", (4,), lambda q, y, w: (
         replaced(q, EVERY, 4, np.rad2deg(q[:, 4])), y)),
+    "degrees, another zero": ("position_degrees position_zero", None, lambda q, y, w: (
+        np.rad2deg(q + [0, 2.5, 0, 0, 0, 0]), y)),
     "mirrored": ("position_sign", (3,), lambda q, y, w: (
         replaced(q, EVERY, 3, -q[:, 3]), y)),
     "robot mirrored": ("flipped_joint", None, lambda q, y, w: (-q, -y)),
@@ -480,11 +482,13 @@ def test_two_zeros_are_off(log):
     assert {j for one in found if one.severity != "note" for j in one.joints} == {1, 4}
 
 
-def test_gear_ratios_near_the_factor_of_degrees(log):
+@pytest.mark.parametrize("power", [0, -1])
+def test_gear_ratios_near_the_factor_of_degrees(log, power):
     ratios = np.array([50.0, 55.0, 60.0, 65.0, 60.0, 50.0])
-    kinds, found = faults_of(log, q=ratios * log[0].q)
+    kinds, found = faults_of(log, q=ratios * log[0].q, tau=ratios**power * log[0].tau)
     assert kinds == ["position_unit"]
-    each = re.findall(r"joint_(\d) ([\d.e+]+) ± ([\d.]+)", found[0].message)
+    assert ("multiply their torques" in found[0].message) == bool(power)
+    each = re.findall(r"joint_(\d) ([\d.e+]+) ± ([\d.]*\d)", found[0].message)
     assert len(each) >= 4
     for j, ratio, error in each:
         assert abs(float(ratio) - ratios[int(j) - 1]) < 3 * float(error) + 1

@@ -185,7 +185,7 @@ def test_frozen_positions(arm):
     q[start : start + 20, 2] = q[start, 2]
     message = only(inspect(arm, q=q), "stuck_position", (2,), "note")
     assert "for 20 rows (0.1 s)" in message
-    assert f"the first is row {start})" in message
+    assert f"the first at row {start})" in message
 
 
 def test_repeated_rows(arm):

@@ -106,12 +106,17 @@ def test_tilt_of_a_fixed_floating_base(tmp_path):
     assert_allclose(robot.effects_[0].values, [-lean, 0.0], atol=np.deg2rad(0.2))
 
 
-def test_a_large_zero_is_no_turned_axis_of_the_next_joint():
+@pytest.mark.parametrize(
+    "truth", [(JointZero(2, 0.12),), (BaseTilt(0, 0.01, 0.06), TorqueGain(3, 0.6))]
+)
+def test_terms_of_second_order_of_large_faults_are_no_effects(truth):
+    """Neither a turned axis of the next joint nor other gains."""
     arm = record("ZYZY", seed=2, duration=20.0, noise=0.005)
-    faulty = with_faults([JointZero(2, 0.12)], arm)
+    faulty = with_faults(truth, arm)
     loop = faulty.discover(faulty.torque(), list(LIBRARY), robot=arm.robot())
-    assert named(loop) == [("joint_zero", 2)]
-    assert loop.effects_[0].parameters["zero"] == pytest.approx(0.12, abs=1e-3)
+    assert named(loop) == [(fault.name, fault.joint) for fault in truth]
+    for effect, fault in zip(loop.effects_, truth):
+        assert_allclose(effect.effect.values, fault.values, atol=2e-3)
 
 
 def test_no_corrections_without_faults():

@@ -221,6 +221,10 @@ class Path:
             new = self.scaled(Fit(new.base, members))
         for k in range(len(kept)):
             new = self._without_contained(new, first + k)
+        if isinstance(candidates[0].effect, InModel):
+            # Terms of second order would resemble further effects.
+            for _ in range(_ROUNDS):
+                new = self.scaled(relinearise(new))
         return self._pruned(new)
 
     def _member(self, fit, candidate):

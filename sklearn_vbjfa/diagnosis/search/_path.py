@@ -351,17 +351,18 @@ class Path:
                 new = base.with_member(self._member(base, candidate))
                 new = self.scaled(step_shapes(new, [len(base.members)]))
                 *others, new_odds = candidates.log_odds(new, usual=True)
-                # A candidate that contains the member must replace others as well.
+                # A candidate that contains the member must replace others, too; fewer
+                # effects need not be better.
                 worst = min([0.0, *others])
                 contains = member.effect.name in closure(candidate.effect, self.library)
                 same = candidate.effect.name == member.effect.name
                 simpler = same and candidate.effect.simple > member.effect.simple
-                margin = -self.settings.rivals if simpler else _TIE
-                if new_odds - worst < odds[i] + margin or (contains and worst == 0.0):
+                tie = self.settings.rivals if simpler else _TIE if contains else -_TIE
+                if new_odds - worst < odds[i] - tie or (contains and worst == 0.0):
                     continue
                 new = self._pruned(new)
-                errors = [self.validate(x).error() for x in (new, fit)]
-                better = simpler or errors[0] <= errors[1]
+                limit = self.validate(fit).error() + max(tie, 0.0)
+                better = simpler or self.validate(new).error() <= limit
                 if better and effect_keys(new) not in visited:
                     return new
         return None

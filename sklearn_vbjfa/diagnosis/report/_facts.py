@@ -50,8 +50,14 @@ def value_cells(effect):
 
 def remedies(outcome):
     """Return corrections of the robot model, (name, joint) -> correction."""
-    # Declared corrections are included, insignificant ones are not.
-    possible = {(x.name, x.joint) for x in outcome.findings["possible"]}
+    # Declared corrections are included; insignificant ones, those that lower no error,
+    # and those that may belong to another joint, are not.
+    fell = np.nansum(outcome.column("before") - outcome.column("after")) > 0
+    doubtful = {
+        (x.name, x.joint)
+        for x in outcome.findings["possible"] + outcome.findings["effects"]
+        if x.warning or not fell or any(y["name"] == x.name for y in x.trials)
+    }
     corrections = {}
     for e in outcome.robot["corrections"]:
         prefix = f"{outcome.robot['joints'][e.joint]}:{e.name}:", f"{e.name}:"
@@ -61,7 +67,7 @@ def remedies(outcome):
             not x.interval[0] <= x.name.endswith(":gain") <= x.interval[1]
             for x in values
         ]
-        if (e.name, e.joint) not in possible and (any(excluded) or not excluded):
+        if (e.name, e.joint) not in doubtful and (any(excluded) or not excluded):
             corrections[e.name, e.joint] = e
     return corrections
 

@@ -298,9 +298,12 @@ class Candidates:
     def rivals(self, fit, i):
         """Return candidates that could replace a member, the best first."""
         member, base = fit.members[i], fit.without(i)
-        joints = [j for j in member.joints if j in self.families]
+        # Bodies of other sizes may make up for a correction of another joint.
+        everywhere = isinstance(member.effect, InModel)
+        joints = [j for j in self.families if everywhere or j in member.joints]
         candidates = [c for j in joints for c in self.on(base, j)]
-        rivals = self.best_discounted(base, candidates, self.settings.rivals)
+        own = [c for c in candidates if c.effect.joint in member.joints]
+        rivals = self.best_discounted(base, own, self.settings.rivals)
         if isinstance(member.effect, InModel):
             # Also geometric effects with the same correction and more parameters.
             keys = {c.effect.key() for c in rivals}

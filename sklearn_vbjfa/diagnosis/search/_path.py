@@ -23,6 +23,9 @@ from sklearn_vbjfa.diagnosis.search._refine import (
     with_shape,
 )
 from sklearn_vbjfa.effects import Bank, InModel, OnAllJoints, Sudden, closure
+from sklearn_vbjfa.fit._bodies import DESCRIBED
+from sklearn_vbjfa.model import nominal_parameters
+from sklearn_vbjfa.robot._posterior import body_indices
 
 # Rounds of the search; each updates load, noise spectrum and geometry.
 _ROUNDS = 2
@@ -202,7 +205,7 @@ class Path:
             new = fit.with_member(self._member(fit, candidate))
             for _ in range(_ROUNDS):
                 new = self.scaled(relinearise(new))
-            evidence.append(new.log_evidence())
+            evidence.append(new.log_evidence() + _log_prior_of_size(new))
         pairs = [(c, x) for c, x in zip(similar, evidence) if x > max(evidence) - _TIE]
         return min(pairs, key=lambda pair: (pair[0].effect.precedence, -pair[1]))[0]
 
@@ -418,6 +421,18 @@ class Path:
             fit = relinearise(self.scaled(with_joint_weights(Fit(fit.base, members))))
             effects = [m.effect for m in fit.members]
         return self.scaled(with_joint_weights(fit))
+
+
+def _log_prior_of_size(fit):
+    """Return the log prior of the common size of the bodies over the described one."""
+    # A Cauchy prior of the logarithm. Gains of two joints may differ in the size only.
+    view, theta = fit.problem.view, fit.problem.view.back @ fit.theta
+    bodies, at = np.zeros((2, theta.size)), body_indices(view.robot)[: view.nv]
+    bodies[:, at] = theta[at], nominal_parameters(view.robot.features_.nominal_)
+    scale = view.root * np.sqrt(view.precision)
+    fitted, described = (view.equations.torques(x) * scale for x in bodies)
+    size, norm = (fitted * described).sum(), (described**2).sum()
+    return -np.log1p((np.log(size / norm) / DESCRIBED) ** 2) if size > 0 else 0.0
 
 
 def relinearise(fit):

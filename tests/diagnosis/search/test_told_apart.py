@@ -83,6 +83,13 @@ def test_geometric_effects_are_found_with_their_values(truth):
         np.testing.assert_allclose(applied.values + step, effect.values, atol=0.02)
 
 
+@pytest.mark.parametrize("truth", [TorqueGain(0, 0.8), TorqueGain(1, 0.8)])
+def test_sizes_of_the_bodies_decide_between_gains_of_two_joints(truth):
+    now = search_faulty([truth], record("YY", seed=2)).run()
+    assert found(now) == [("torque_gain", truth.joint)]
+    assert rivals(now) == [("torque_gain", 1 - truth.joint)]
+
+
 def test_a_viscous_coupling_has_no_ratio():
     recording = record("ZYX", seed=2, noise=0.02)
     torque = recording.torque(joint_2=lambda r: 2.0 * r.v[:, 2])

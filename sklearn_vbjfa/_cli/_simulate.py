@@ -99,10 +99,10 @@ def _recording(arguments, robot, folder):
         )
     findings = _input.findings(arguments, recording, urdf, gains)
     measured = arguments.drive is None and not has_gains
-    error = refusal(findings, recording.torque_units if measured else ())
-    if error is not None:
+    refused = refusal(findings, recording.torque_units if measured else ())
+    if refused is not None:
         with _input.naming_input(*given):
-            raise error
+            raise refused
     for finding in findings:
         if finding.severity != "note":
             warnings.warn(f"{source}: {finding.message}", DoubtWarning, stacklevel=2)

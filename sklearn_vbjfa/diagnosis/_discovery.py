@@ -310,8 +310,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         fault = refusal(channels, whole.torque_units if measured else ())
         if fault is not None:
             raise fault
-        unusable = [f for f in channels if f.kind in NO_INFORMATION]
-        silent = [j for f in unusable if f.severity == "warning" for j in f.joints]
+        warned = [f for f in channels if f.severity == "warning"]
+        silent = [j for f in warned if f.kind in NO_INFORMATION for j in f.joints]
         late, std = self.identifier.lag_from(whole, common_lag(channels))
         self.torque_lag_ = sum((effect.lag for effect in late), 0.0)
         if late:

@@ -134,7 +134,7 @@ _UNITS = ("", "", 1.0), ("degrees", "deg", np.pi / 180), ("turns", "rev", 2 * np
 
 
 def misread_commands(reading):
-    """Return commands of another unit, order or direction than the positions."""
+    """Return commands whose unit, order or direction differs from the positions."""
     if reading.feedback is None or reading.signals is None:
         return None
     joints, diagonal = np.array(reading.every), np.eye(reading.nv, dtype=bool)

@@ -44,7 +44,7 @@ class Change:
         return tuple(np.flatnonzero(is_changed).tolist())
 
     def then(self, other):
-        """Return this change of channels followed by another one."""
+        """Return this change of channels followed by a second one."""
         return Change(
             positions=_compose(other.positions, self.positions),
             torques=_compose(other.torques, self.torques),

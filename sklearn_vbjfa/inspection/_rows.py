@@ -1,4 +1,4 @@
-"""Checks of the rows of a log that need hardly any robot model."""
+"""Checks of the rows of a log that need little of the robot model."""
 
 import functools
 from itertools import combinations, pairwise

@@ -84,7 +84,7 @@ def load_model(model, base_orientation=None):
         If contents of the file are not part of the model: a body without mass or with
         an inertia that no solid body has is replaced by the nearest solid one, springs,
         damping, friction and tendons of an MJCF file are ignored, and a joint that
-        follows another one and carries joints that do not counts as a separate joint.
+        follows another and carries joints that do not counts as a separate joint.
         Bodies that other mimic joints move are fixed at the pose where their leaders
         are at zero. The orientation of a fixed base is reported.
 

@@ -142,7 +142,7 @@ def _intervals(effect, values, deviations, half):
 
 
 def _containing(effect, finding, search, hidden):
-    """Yield effects that contain another one, and that the motion does not excite."""
+    """Yield effects that contain an effect, and that the motion does not excite."""
     # They explain as much, and only their further parameter makes them less probable.
     known = {rival.name for rival in finding.rivals}
     for other in search.library:

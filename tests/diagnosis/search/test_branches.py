@@ -107,10 +107,9 @@ def test_effects_of_a_branch_map_to_joints_of_the_robot(two_arms):
 @pytest.mark.slow
 def test_effects_of_a_branch_are_found(two_arms):
     recording, robot = two_arms
-    loop = EffectDiscovery(
-        robot,
-        effects=["spring", "joint_zero"],
-    ).fit(recording.q, recording.tau)
+    loop = EffectDiscovery(robot, effects=["spring", "joint_zero"]).fit(
+        recording.q, recording.tau
+    )
     assert [(e.name, e.joint) for e in loop.effects_] == [("spring", 5)]
     assert loop.effects_[0].joint_name == recording.joint_names[5]
     assert loop.error_after_[5] < 0.8 * loop.error_before_[5]

@@ -18,11 +18,7 @@ from sklearn_vbjfa.diagnosis.search import (
     Spectrum,
     spectrum_of,
 )
-from sklearn_vbjfa.diagnosis.search._problem import (
-    Base,
-    _chance_limit,
-    _joint_columns,
-)
+from sklearn_vbjfa.diagnosis.search._problem import Base, _chance_limit, _joint_columns
 from sklearn_vbjfa.effects import Coulomb, Drift, JointZero, Offset, Payload, Spring
 from tests.diagnosis._recordings import record
 from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring

@@ -83,12 +83,7 @@ def test_bad_logs(name, arm, reference, capsys):
         for key, (value, std) in reference.items():
             if key in found and not key.startswith(case.get("changed", "none")):
                 off = abs(found[key][0] - value)
-                assert off < 3 * std + 0.05 * abs(value), (
-                    key,
-                    found[key],
-                    value,
-                    std,
-                )
+                assert off < 3 * std + 0.05 * abs(value), (key, found[key], value, std)
     _, suggested, command = err.partition(SUGGESTION)
     if suggested:
         # The suggested command works.

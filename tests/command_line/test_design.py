@@ -49,10 +49,10 @@ def home(tmp_path_factory):
                 "joint": 0,
                 "rivals": ["viscous_quadratic"],
                 "trials": [{"name": "viscous_quadratic", "joint": 0, "shape": {}}],
-            },
+            }
         ],
         "not_identifiable": [
-            {"name": "joint_zero", "joint": 0, "reason": "span", "remedy": ""},
+            {"name": "joint_zero", "joint": 0, "reason": "span", "remedy": ""}
         ],
         "parameters": [
             {"name": "elbow:viscous", "value": 0.5, "interval": [-9.5, 10.5]}

@@ -482,7 +482,6 @@ def test_predict_requires_fit():
 
 @pytest.mark.slow
 def test_channel_effects_are_not_searched_for_drive_torques():
-    """A channel lag is searched for measured torques, not for torques of a drive."""
     motion = drives.told(duration=20.0)
     rng = np.random.default_rng(0)
     jerk = np.gradient(motion.states[:, 6:], drives.DT, axis=0)

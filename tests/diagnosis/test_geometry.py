@@ -159,7 +159,6 @@ def test_tilt_requires_gravity():
 
 @pytest.mark.slow
 def test_tilt_of_two_branches_is_reported_once():
-    """Each branch finds the tilt; it is reported once for the robot."""
     model = arms(2)
     roll, pitch = 0.06, -0.03
     leaning = model.copy()

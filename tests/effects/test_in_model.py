@@ -121,7 +121,6 @@ def test_corrected_models_follow_the_documented_conventions(case):
 
 
 def test_gain_scales_the_whole_torque():
-    """The gain scales friction as well as the rigid-body torque."""
     q = np.linspace(0.0, 1.0, 5)[:, None] * np.ones(2)
     load, torque = 3.0 + q, 7.0 - q
     signals = Motion(q=q, v=q, a=q, load=load, torque=torque)

@@ -314,7 +314,6 @@ def test_coarse_torque_depends_on_step_relative_to_standard_deviation():
 
 
 def test_encoder_counts_of_a_joint_without_limits():
-    """Whole numbers are counts even without position limits."""
     import pinocchio as pin
 
     model = pin.Model()

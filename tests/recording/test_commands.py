@@ -54,8 +54,7 @@ def assert_motion(recording, nv=2):
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["q_desired_{}", "q_desired[{}]", "Q_Des{}", "position_command_{}"],
+    "name", ["q_desired_{}", "q_desired[{}]", "Q_Des{}", "position_command_{}"]
 )
 def test_commands_are_recognised_by_their_names(name, tmp_path):
     path = write(tmp_path / "arm.csv", table(aim=name))

@@ -106,7 +106,6 @@ def test_excessive_noise_is_named():
 
 
 def test_units_and_the_order_of_columns_do_not_matter():
-    """Scaled and permuted columns give scaled and permuted coefficients."""
     X, y, psi, cross = problem(n=200)
     found = model(input_noise=psi, input_output_noise=cross).fit(X, y)
     unit, order = np.array([1e3, 1e-2, 5.0]), [2, 0, 1]

@@ -269,9 +269,7 @@ def test_noise_floor_matches_the_residual_of_noise_alone(encoder_noise):
     taps = robot.robot_.plan.lowpass.taps
     # The quietest quarter of 16 bands of a spectrum, each of some 100 ordinates.
     np.testing.assert_allclose(
-        robot.torque_noise_,
-        recording.torque_noise * np.sqrt(taps @ taps),
-        rtol=0.15,
+        robot.torque_noise_, recording.torque_noise * np.sqrt(taps @ taps), rtol=0.15
     )
     residuals = robot.residuals(recording.q, recording.tau, groups=recording.groups)
     # The floor omits Coulomb friction at reversals and includes parameter errors.

@@ -72,8 +72,7 @@ def cases():
         "maxwell_slip": (
             effects.MaxwellSlip(1, displacements=(0.05, 0.2)),
             on_joint(
-                1,
-                2 * stops_sample_by_sample(q, 0.05) + stops_sample_by_sample(q, 0.2),
+                1, 2 * stops_sample_by_sample(q, 0.05) + stops_sample_by_sample(q, 0.2)
             ),
             [2.0, 1.0],
         ),

@@ -214,7 +214,6 @@ def test_samples_follow_the_marginals(centre, nonnegative, between):
 
 
 def test_samples_without_truncation_have_the_covariance():
-    """Samples far from zero are normal with the given covariance."""
     joint = posterior((5.0, 9.0, 7.0), CORRELATED, None, (0, 1, 2))
     drawn = joint.sample(0, range(3000))
     np.testing.assert_allclose(np.cov(drawn.T), CORRELATED, atol=0.12)

@@ -74,7 +74,6 @@ def test_unmodelled_friction_is_not_noise(noise):
 
 
 def test_slow_model_errors_are_not_noise():
-    """With slow model errors, the white noise or nothing is estimated."""
     rng = np.random.default_rng(2)
     noise = NOISES["white"](rng)
     estimate = noise_of(noise + 3 * np.sin(8 * Q) * (1 + 0.3 * V))

@@ -14,7 +14,6 @@ START = [0.4, -0.6], [1.0, -2.0]
 
 @pytest.mark.parametrize("factor", [1e-4, 1e4])
 def test_motion_is_invariant_to_the_unit_of_mass(factor):
-    """Compare with the robot and its torques in another unit of mass."""
     robot = Arm().robot(FRICTION)
     scaled = machine(
         robot.model,

@@ -50,9 +50,7 @@ ZERO = discovered(
     make_trials(4, ("joint_axis",)),
 )
 AXIS = discovered(
-    JointAxis(3),
-    dict(zip(("about_x", "about_y"), degrees(3.0, -0.5))),
-    np.deg2rad(0.1),
+    JointAxis(3), dict(zip(("about_x", "about_y"), degrees(3.0, -0.5))), np.deg2rad(0.1)
 )
 GAIN = discovered(TorqueGain(1), {"gain": 1.148}, 0.002)
 VALUES = {

@@ -52,7 +52,6 @@ def test_a_counterbalance_is_not_named_spring():
 
 
 def test_an_offset_is_reported_as_equilibrium_of_the_spring():
-    """The constant term is reported with the spring."""
     loop = discover(lambda r: 2.0 * (r.q[:, 0] + 1.0), ["spring", "offset", "coulomb"])
     (spring,) = loop.effects_
     assert spring.name == "spring"

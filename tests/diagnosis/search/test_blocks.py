@@ -81,7 +81,6 @@ def test_correlation_time_of_an_autoregression(rho):
 
 
 def test_correlation_time_ignores_jumps_between_recordings():
-    """The level jumps between consecutive recordings."""
     lengths = np.full(30, 60)
     x = np.concatenate([stationary(0.8, 60, seed) for seed in range(30)])
     starts = np.r_[0, np.cumsum(lengths)[:-1]]

@@ -56,7 +56,6 @@ def test_corrections_keep_rows_blocks_and_weights(view):
 
 @pytest.mark.parametrize("effects", [[TILT], [ZERO, GAIN], [TILT, JointAxis(2, 0.1)]])
 def test_corrected_equations_match_an_identifier(view, effects):
-    """Compare with an identifier without effects whose model is corrected."""
     other = view.corrected(effects)
     robot = PLAIN.robot(projector=None, input_noise=None)
     model = view.robot.features_.corrected(effects).model_
@@ -102,7 +101,6 @@ def test_gains_scale_the_columns_of_effects(view):
 
 
 def test_declared_corrections_are_applied_before_the_search():
-    """The identifier has estimated the tilt before the search."""
     problem = search_faulty([TILT, ZERO], declared=[BaseTilt()])
     assert problem.view.robot.effects_[0].corrects
     assert_allclose(problem.view.robot.effects_[0].values, TILT.values, atol=0.02)

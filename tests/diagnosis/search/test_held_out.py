@@ -122,7 +122,6 @@ def test_folds_can_be_passed():
 
 
 def test_held_out_residual_reaches_the_noise_floor(fitted):
-    """At the noise floor, the residual has the RMS of the noise."""
     fit, cv = fitted
     view = fit.problem.view
     cv = HeldOut(view, view.blocks.fold).validate(fit)

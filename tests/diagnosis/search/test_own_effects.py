@@ -42,7 +42,6 @@ INERT = {
 
 @pytest.mark.slow
 def test_effects_of_the_baseline_are_never_named(springy):
-    """Offset, friction, inertia and gravity are part of the baseline."""
     inert = [custom(kind, columns) for kind, columns in INERT.items()]
     loop = discover([*inert, "spring"])
     assert named(loop) == SPRING
@@ -54,7 +53,6 @@ def test_effects_of_the_baseline_are_never_named(springy):
 
 
 def test_a_column_of_the_regressor_itself_is_never_named():
-    """A column of the body of the second joint."""
     robot = ARM.robot().fit(ARM.position, TORQUE)
 
     def column(motion, joint):

@@ -95,7 +95,6 @@ def test_instants_within_a_recording_need_more_evidence(gain, moves):
 
 
 def test_instant_of_a_payload_is_found_between_grid_points():
-    """The peak is narrow and lies between two points of the grid."""
     truth = 9.13
     payload = effects.Payload(1, instant=truth)
     added = payload.columns(MOTION) @ [0.5, 0.02, 0.03, 0.01, 0.0]

@@ -71,7 +71,6 @@ def test_a_constant_is_no_spring():
 
 
 def test_effects_below_min_gain_are_left_out():
-    """An effect below min_gain is left out, whatever its probability."""
     long = record("Y", seed=0, duration=600.0)
     for min_gain, expected in ((0.02, 0), (0.001, 1)):
         settings = SearchSettings(min_gain=min_gain)

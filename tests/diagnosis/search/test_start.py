@@ -57,7 +57,6 @@ def test_plain_terms_are_added_and_not_discovered(loops):
 
 
 def test_errors_match_the_residuals_of_the_models(loops):
-    """Recompute the held-out errors of the models with `residuals`."""
     loop = loops[()]
     outcome = loop.report_.outcome
     # Held-out rows without the guard.

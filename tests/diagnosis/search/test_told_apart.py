@@ -34,7 +34,6 @@ def level():
 
 @pytest.mark.parametrize("truth", [BaseTilt(0, 0.07, -0.04), JointAxis(0, 0.06, 0.05)])
 def test_tilt_and_vertical_axis_error_are_rivals(truth):
-    """For a vertical first joint, tilt and axis error are equivalent."""
     now = search_faulty([truth], VERTICAL).run()
     assert found(now) == [("base_tilt", 0)]
     assert rivals(now) == [("joint_axis", 0)]
@@ -107,6 +106,5 @@ def test_unidentifiable_zeros_are_never_candidates(level, effect):
 
 
 def test_no_geometric_effects_without_faults():
-    """Without faults, no effect is reported for several noise realisations."""
     for seed in range(3):
         assert search_faulty([], record("ZYX", seed=seed)).run().findings == ()

@@ -51,7 +51,6 @@ from sklearn_vbjfa.recording import (
     with_torques_shifted,
 )
 from sklearn_vbjfa.regression._base import Interval
-from sklearn_vbjfa.robot._exports import unphysical_coupling
 from sklearn_vbjfa.robot._windows import unfollowed
 
 
@@ -353,10 +352,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         model, torques = self.baseline_, ()
         if result.effects:
             model = self._fit_with(result.effects, model, part)
-        while wrong := unphysical_coupling(model.robot_, result.effects):
-            kept = (f for f in result.findings if f.effect.key() != wrong.key())
-            result = replace(result, findings=tuple(kept))
-            model = self._fit_with(result.effects, self.baseline_, part)
         if isinstance(self.effects, str) and self.identifier.drive is None:
             fit = FinalFit(self.baseline_, model, result.view)
             torques = unnamed_torques(fit, result.settings)

@@ -9,7 +9,6 @@ from scipy.optimize import lsq_linear
 
 from sklearn_vbjfa.effects import (
     CommandDelay,
-    Coupling,
     CouplingSpring,
     Drift,
     InModel,
@@ -28,8 +27,6 @@ from sklearn_vbjfa.model._mjcf import JointDynamics, write_mjcf
 from sklearn_vbjfa.model._trees import with_bodies
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
 from sklearn_vbjfa.simulation import LeftOut, SimulationError, simulate
-from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
-from sklearn_vbjfa.simulation._simulate import check_inertia
 
 
 def plain_totals(robot):
@@ -283,22 +280,6 @@ def typical_motion(ranges, nv, dt):
         states[1, :, j] = amplitude * np.cos(angle) @ omega
         states[2, :, j] = -amplitude * np.sin(angle) @ omega**2
     return np.hstack(list(states)), moves
-
-
-def unphysical_coupling(robot, effects):
-    """Return the last coupling if the inertia matrix is indefinite, or None."""
-    couplings = [effect for effect in effects if isinstance(effect, Coupling)]
-    if not couplings or min(robot.min_eigenvalues_) <= 0:
-        return None
-    model = robot.torque_model()
-    states, _ = typical_motion(robot.effect_ranges_, model.n_joints, 1.0)
-    dynamics = ForwardDynamics(model)
-    try:
-        for q in states[:: _ROWS // 100, : model.n_joints]:
-            check_inertia(model, dynamics, q)
-    except SimulationError:
-        return couplings[-1]
-    return None
 
 
 def refitted(robot, totals):

@@ -128,11 +128,3 @@ def test_joints_at_rest_are_not_searched():
         loop.fit(q, TORQUE)
         assert {e.joint for e in (*loop.effects_, *loop.possible_)} <= {0}
         assert loop.report_.outcome.column("searched").tolist() == [True, False]
-
-
-@pytest.mark.parametrize(("inertia", "count"), [(-0.1, 1), (-1.0, 0)])
-def test_couplings_keep_the_inertia_matrix_positive(inertia, count):
-    arm = record(seed=2)
-    loop = EffectDiscovery(arm.robot(), effects=["coupling"], random_state=0)
-    loop.fit(arm.position, arm.torque(joint_2=lambda r: inertia * r.a[:, 0]))
-    assert len(loop.effects_) + len(loop.possible_) == count

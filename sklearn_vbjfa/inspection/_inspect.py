@@ -259,13 +259,13 @@ def inspect_channels(
     dt *= log.every
     reading = Reading(robot, names, q, tau, dt, parts, usable, **known)
     findings = _compare_recordings(reading, recordings)
-    excluded = {*(() if reading.gains is None else _SCALE_KINDS)}
-    excluded |= {"torque_unit"} if bodies == "free" else set()
-    excluded |= (
-        {"unsigned_torque"} if getattr(reading.drive, "unsigned", False) else set()
-    )
-    # Faulty rows do not show whether the log is of another robot.
-    excluded |= {"other_robot" * any(x.severity != "note" for x in log.findings)}
+    excluded = {
+        *(() if reading.gains is None else _SCALE_KINDS),
+        "torque_unit" if bodies == "free" else "",
+        "unsigned_torque" if getattr(reading.drive, "unsigned", False) else "",
+        # Faulty rows do not show whether the log is of another robot.
+        "other_robot" if any(x.severity != "note" for x in log.findings) else "",
+    }
     findings = [x for x in findings if x.kind not in excluded]
     return findings_in_order(log.findings + findings)
 

@@ -131,10 +131,8 @@ def common_scale(reading, weightless=None):
     limit = number.COMMANDED if reading.commanded else number.SCALE
     if not shown or factor <= 0 or 1 / limit < factor < limit:
         return None
-    (low, high), units = (
-        factor * np.exp([-error, error]),
-        _matching_units(factor, error),
-    )
+    low, high = factor * np.exp([-error, error])
+    units = _matching_units(factor, error)
     baseline = reading.robot.baseline.evidence
     fit = robot.fit(mean=factor * robot.described, spread=factor)
     log_odds, kind = fit.evidence - baseline, ""

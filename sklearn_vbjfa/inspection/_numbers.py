@@ -116,7 +116,8 @@ SHUFFLED, LEAST_MOTION, STILL_TRAVEL, SHORT_RUN = 0.7, 0.01, 12.0, 16
 # if the median jump is its range up to the second one.
 TURN_LEFT, EDGE = 0.15, 0.05
 # Least number and share of repeated rows that are reported, and that are a warning.
-FEWEST_REPEATED, REPEATED_SHARE, MANY_REPEATED = 3, 0.002, 0.1
+# Gaps of missing rows are this many times as frequent as other changes of the steps.
+FEWEST_REPEATED, REPEATED_SHARE, MANY_REPEATED, CLEARLY_MISSING = 3, 0.002, 0.1, 2.0
 # The logger was frozen if this many rows are equal and a joint moves at this share of
 # its usual step over this many samples before and after them.
 FROZEN_ROWS, HELD_SPEED, NEAR_ROWS = 5, 0.1, 3

@@ -272,6 +272,28 @@ def _check_lost_rows(log):
         _report_lost(log, "repeated_rows", runs, "warning" if serious else "note")
 
 
+def _check_missing_rows(log):
+    """Find steps of all positions by multiples of the neighbouring steps."""
+    # Rows are missing there, which only time stamps would show.
+    if log.every > 1 or log.still.all():
+        return
+    step = log.steps(log.q)[:, ~log.still]
+    step /= np.sqrt((step**2).mean(axis=0))
+    usual = scipy.ndimage.median_filter(step, (number.MEDIAN, 1))
+    size = (usual**2).sum(axis=1)
+    factor = (step * usual).sum(axis=1) / np.maximum(size, 1e-300)
+    rest = ((step - np.round(factor)[:, None] * usual) ** 2).sum(axis=1)
+    fast = (size > np.median(size)) & ~log.first
+    is_multiple = rest < number.WORST**2 * size
+    missing = fast & is_multiple & (factor > 1.5)
+    least = max(number.FEWEST_REPEATED, number.REPEATED_SHARE * fast.sum())
+    # If steps vary between these multiples, positions are coarse or noisy.
+    others = (fast & ~is_multiple).sum() + (fast & (factor < 0.5)).sum()
+    if missing.sum() > max(least, number.CLEARLY_MISSING * others):
+        every = range(len(log.names))
+        log.report("missing_rows", every, "warning", log.runs(missing))
+
+
 def _find_switched_off(log):
     """Find runs in which all torques vanish, some abruptly, although links weigh."""
     step, size = np.abs(log.steps(log.tau)), np.sqrt((log.tau**2).mean(axis=0))
@@ -665,6 +687,7 @@ CHECKS = (
     _check_rest,
     _check_held,
     _check_lost_rows,
+    _check_missing_rows,
     _check_constant,
     _check_overflows,
     _check_torques,

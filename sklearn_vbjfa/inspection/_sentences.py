@@ -47,6 +47,8 @@ SENTENCES = {
     "repeated_rows": "{count} rows ({share}) equal the row before them in every "
     "channel, up to {longest} in a row, the first at {place}. Leave them out, and "
     "split the recording there (groups).",
+    "missing_rows": "At {times} places, the first at {place}, all positions advance by "
+    "two or more of their usual steps: rows are missing. Log the time of each row.",
     "empty_rows": "All torques are zero in {count} rows ({share}) amid the motion, the "
     "first at {place}: readings were lost, or two sources were logged together. "
     "Leave these rows out.",

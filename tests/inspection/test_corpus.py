@@ -63,11 +63,18 @@ def shuffled(q, tau, dt, j, rng):
     return q[order], tau[order], dt
 
 
+def thinned(q, tau, dt, j, rng):
+    """Leave out rows at random."""
+    kept = rng.uniform(size=len(q)) > rng.uniform(0.01, 0.08)
+    return q[kept], tau[kept], dt
+
+
 # Faults visible without the robot description: expected kinds of findings, and a
 # function of positions, torques, sample period, joint and generator.
 SAMPLES = {
     "wrapped angle": ("wrapped_position", wrapped),
     "frozen logger": ("repeated_rows", frozen),
+    "missing rows": ("missing_rows", thinned),
     "positions held": ("held_position", lambda q, tau, dt, j, rng: (
         held(q, int(rng.integers(3, 9))), tau, dt)),
     "torques held": ("held_torque", lambda q, tau, dt, j, rng: (

@@ -215,19 +215,18 @@ class Path:
         fit = Fit(fit.base, [*fit.members, *(self._member(fit, c) for c in candidates)])
         added = range(first, len(fit.members))
         new = self.scaled(step_shapes(fit, added))
-        validation, probable = self.validate(new), self._remain_probable(new, first)
+        validation, (probable, updated) = self.validate(new), self._updated(new, first)
         # New members must reduce the cross-validated error.
         least = ENTRY_SHARE * self.settings.min_gain
         kept = [i for i in added if probable[i - first] and validation.helps(i, least)]
         if len(kept) < len(candidates):
             members = [*new.members[:first], *(new.members[i] for i in kept)]
             new = self.scaled(Fit(new.base, members))
+        elif isinstance(candidates[0].effect, InModel):
+            # Terms of second order would resemble further effects.
+            new = updated
         for k in range(len(kept)):
             new = self._without_contained(new, first + k)
-        if isinstance(candidates[0].effect, InModel):
-            # Terms of second order would resemble further effects.
-            for _ in range(_ROUNDS):
-                new = self.scaled(relinearise(new))
         return self._pruned(new)
 
     def _member(self, fit, candidate):
@@ -241,29 +240,28 @@ class Path:
         best = fit.groups(member.columns).best_scale(scale)[0]
         return replace(member, scale=float(best))
 
-    def _remain_probable(self, fit, first):
-        """Check which members from `first` on remain probable after a refit, a list."""
-        # Linearised effects may fail at their full size: the derivative by a poorly
-        # identifiable gain resembles any missing effect. The bodies may take over the
-        # torque of load-dependent friction. The next round checks other members.
+    def _updated(self, fit, first):
+        """Return which members from `first` on remain probable after an update."""
+        # Also returns the updated fit. Linearised effects may fail at their full size:
+        # the derivative by a poorly identifiable gain resembles any missing effect. The
+        # bodies may take over the torque of load-dependent friction. The next round
+        # checks other members.
         probable = [True] * (len(fit.members) - first)
         tested = [
             i
             for i, m in enumerate(fit.members[first:], first)
             if "load" in m.effect.depends or isinstance(m.effect, InModel)
         ]
-        rounds = max(
-            (1 + isinstance(fit.members[i].effect, InModel) for i in tested), default=0
-        )
-        for _ in range(rounds):
-            fit = relinearise(fit)
+        is_geometric = any(isinstance(fit.members[i].effect, InModel) for i in tested)
+        for _ in range(_ROUNDS if is_geometric else len(tested[:1])):
+            fit = self.scaled(relinearise(fit))
             odds = self.candidates.log_odds(fit)
             for i in tested:
                 natural = fit.members[i].effect.natural(fit.coefficients(i))
                 probable[i - first] &= bool(odds[i] > self.candidates.least and natural)
             if not any(probable):
                 break
-        return probable
+        return probable, fit
 
     def _without_contained(self, fit, i):
         """Drop effects that a member contains if it does as well without them."""

@@ -13,6 +13,7 @@ from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._parser import Refused, command_line, parse
 from sklearn_vbjfa._cli._run import Result, render_template
 from sklearn_vbjfa.diagnosis import simulate_windows
+from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR, WELL, is_refuted
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.fit import signed
@@ -34,12 +35,21 @@ def simulate(arguments, folder):
     out = _input.output_folder(arguments, "simulation")
     path = _input.expand(arguments.model)
     robot = load_identified(path / "identified.json" if path.is_dir() else path)
-    recording, arguments, taken = _recording(arguments, robot, folder)
+    recording, arguments, taken, findings = _recording(arguments, robot, folder)
     if (dt := recording.dt) != robot.dt:
         estimator = fit_states(dt, "auto", recording.q, recording.groups)
         plan = replace(robot.plan, dt=dt, state_estimator=estimator)
         robot = replace(robot, plan=plan)
     with _input.naming_input(arguments):
+        if arguments.drive is None and findings:
+            # The model may hold effects that the description lacks.
+            residuals = robot.residuals_of(recording)
+            at_floor = residuals.rms() <= ABOVE_FLOOR[1] * robot.noise_floor_
+            good = at_floor, at_floor | (residuals.normalised_error() < WELL)
+            findings = [x for x in findings if not is_refuted(x, *good)]
+        for finding in findings:
+            message = f"{_input.log_name(arguments)}: {finding.message}"
+            warnings.warn(message, DoubtWarning, stacklevel=2)
         windows = _windows(arguments, robot, recording)
     places = [_window_place(recording, windows, k) for k in range(windows.n_windows)]
     verdict, failed = windows.verdict(), ""
@@ -71,7 +81,7 @@ def simulate(arguments, folder):
 
 
 def _recording(arguments, robot, folder):
-    """Return the recording, the arguments that read it, and options of the report."""
+    """Return the recording, arguments, options of the report, and warnings."""
     names, has_gains = robot.joint_names_, robot.gains_ is not None
     urdf = folder / "robot.urdf"
     urdf.write_text(robot.description_, encoding="utf-8")
@@ -103,10 +113,8 @@ def _recording(arguments, robot, folder):
     if refused is not None:
         with _input.naming_input(*given):
             raise refused
-    for finding in findings:
-        if finding.severity != "note":
-            warnings.warn(f"{source}: {finding.message}", DoubtWarning, stacklevel=2)
-    return recording, arguments, taken
+    findings = [finding for finding in findings if finding.severity != "note"]
+    return recording, arguments, taken, findings
 
 
 def _options_of_report(arguments):

@@ -9,8 +9,8 @@ _MODULES = {
     "_errors": "NEXT_SECONDS error_intervals held_out_errors",
     "_final": "EffectEstimate FinalFit",
     "_gaps": """
-        ABOVE_FLOOR Dependence NO_INFORMATION NotIdentifiable Unexplained WORSE
-        dependences motion_signals rises
+        ABOVE_FLOOR Dependence NO_INFORMATION NotIdentifiable Unexplained WELL
+        WORSE dependences is_refuted motion_signals rises
     """,
     "_next": "ExpectedError MotionStatistics motion_statistics",
     "_outcome": "Fact JointErrors Outcome make_outcome parameter_values",

@@ -15,6 +15,8 @@ from sklearn_vbjfa.equations._equations import make_motion
 # depends on a signal, the second in any case. (Smoothing of the motion alone raises the
 # residual by some per cent above the floor.)
 ABOVE_FLOOR = (1.1, 1.5)
+# Error of torques that follow the description.
+WELL = 0.2
 # A refit changes the errors of all joints; increases below this factor are tolerated.
 WORSE = 1.05
 # Number of bins of a signal, significance level of a dependence (before the Bonferroni
@@ -36,6 +38,13 @@ def rises(error, other, floor, factor=WORSE):
     """Whether an error exceeds the noise floor, if known, and another error."""
     above = np.isnan(floor) | (error > ABOVE_FLOOR[0] * floor)
     return (error > factor * other) & above
+
+
+def is_refuted(finding, at_floor, well):
+    """Whether a model contradicts a channel finding by small errors of joints (nv,)."""
+    # Missing effects may look like mixed torques or another robot.
+    good = {"mixed_torques": at_floor, "other_robot": well}.get(finding.kind)
+    return good is not None and good[list(finding.joints)].all()
 
 
 @dataclass(frozen=True, kw_only=True)

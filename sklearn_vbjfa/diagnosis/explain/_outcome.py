@@ -13,6 +13,8 @@ from sklearn_vbjfa.diagnosis.explain._effects import discovered_effects
 from sklearn_vbjfa.diagnosis.explain._errors import NEXT_SECONDS
 from sklearn_vbjfa.diagnosis.explain._gaps import (
     ABOVE_FLOOR,
+    WELL,
+    is_refuted,
     not_identifiable,
     rises,
     unexplained,
@@ -28,8 +30,8 @@ from sklearn_vbjfa.robot._channels import HALF_WIDTH
 from sklearn_vbjfa.robot._corrections import corrections_of
 from sklearn_vbjfa.robot._posterior import body_indices
 
-# Limits that count as unlimited, and error of torques that follow the description.
-_UNLIMITED, _WELL = 1e3, 0.2
+# Limits that count as unlimited.
+_UNLIMITED = 1e3
 # Attributes of curves that are readings of torque channels.
 _READINGS = {"measured", "before", "after", "predicted", "residual"}
 
@@ -128,15 +130,10 @@ def make_outcome(loop, search, final, judged, channels, whole):
     timed = any(isinstance(effect, OfTime) for effect in identifier.effects_)
     data = columns["floor"], scatter, left_out, alone, motion, timed
     expectation = ExpectedError(after, *data)
-    # Missing effects may look like mixed torques or another robot.
     noise, enough = low <= ABOVE_FLOOR[0] * columns["floor"], columns["enough"]
-    well = (noise | (after < _WELL) | ~enough) & enough.any()
-    explained = {"mixed_torques": noise & enough, "other_robot": well}
-    channels = tuple(
-        c
-        for c in channels
-        if c.kind not in explained or not explained[c.kind][list(c.joints)].all()
-    )
+    well = (noise | (after < WELL) | ~enough) & enough.any()
+    good = noise & enough, well
+    channels = tuple(c for c in channels if not is_refuted(c, *good))
     names, errors = identifier.joint_names_, np.where(enough, after, np.nan)
     differing = contradictions(parts, spread, loop.alpha)
     least = np.fmin(columns["before"], columns["plain"])

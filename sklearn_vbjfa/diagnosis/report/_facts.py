@@ -48,10 +48,10 @@ def value_cells(effect):
     return texts
 
 
-def remedies(outcome):
+def remedies(outcome, status):
     """Return corrections of the robot model, (name, joint) -> correction."""
     # Declared corrections are included; insignificant ones, those that lower no error,
-    # and those that may belong to another joint, are not.
+    # those that may belong to another joint, and those of a faulty log are not.
     fell = np.nansum(outcome.column("before") - outcome.column("after")) > 0
     doubtful = {
         (x.name, x.joint)
@@ -59,7 +59,7 @@ def remedies(outcome):
         if x.warning or not fell or any(y["name"] == x.name for y in x.trials)
     }
     corrections = {}
-    for e in outcome.robot["corrections"]:
+    for e in () if status == "faulty" else outcome.robot["corrections"]:
         prefix = f"{outcome.robot['joints'][e.joint]}:{e.name}:", f"{e.name}:"
         values = [x for x in outcome.facts_of("parameter") if x.name.startswith(prefix)]
         # Significant if its interval excludes the nominal value: 1 for gains, else 0.

@@ -31,7 +31,7 @@ def assert_consistent(report):
         assert settings["n_candidates"] > 0
     keys = {(e.name, e.joint, str(e.parameters)) for e in (*effects, *possible)}
     assert len(keys) == len(effects) + len(possible)
-    text = set(_facts.remedies(outcome))
+    text = set(_facts.remedies(outcome, report.status))
     uncertain = {(e.name, e.joint) for e in possible}
     assert not text & uncertain, f"to be corrected on a possible: {text & uncertain}"
     _assert_words(report)

@@ -9,6 +9,7 @@ from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import DiscoveredEffect, Fact, NotIdentifiable
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, OfRobot, TorqueGain
 from sklearn_vbjfa.robot import Correction
+from tests.diagnosis.report import _outcomes
 from tests.diagnosis.report._outcomes import EVIDENCE, make_outcome, make_trials
 from tests.diagnosis.report._pages import line_of, section_of, text_of
 
@@ -118,26 +119,24 @@ def test_effects_have_values_and_remedies(effect, values, remedy):
     declared = report_of(effects=(), corrections=report.outcome.robot["corrections"])
     assert remedy in section_of(declared, "Next steps")
     assert section_of(declared, MISSING) == ""
-    # A possible effect has no remedy.
-    changes = {"effects": (), "possible": (replace(effect, warning="undecided"),)}
-    assert remedy not in text_of(report_of(effect, **changes))
+    # A possible effect has no remedy, and a log that must be corrected first has none.
+    possible = {"effects": (), "possible": (replace(effect, warning="undecided"),)}
+    faulty = {"channels": (_outcomes.finding("Joint 2 is swapped.", "warning"),)}
+    for report in (report_of(effect, **possible), report_of(effect, **faulty)):
+        assert remedy not in text_of(report) + line_of(report)
 
 
 @pytest.mark.parametrize("declared", [ZERO, AXIS, GAIN, TILT])
 def test_insignificant_corrections_are_not_suggested(declared):
     """Declared effects have a remedy only if their interval excludes zero."""
     joint = "" if declared is TILT else f"{NAMES[declared.joint]}:"
+    known = {"kind": "parameter", "joint": declared.joint}
 
     def text(half):
         values = tuple(
-            Fact(
-                kind="parameter",
-                name=f"{joint}{declared.name}:{name}",
-                joint=declared.joint,
-                value=value,
-                interval=(value - half, value + half),
-            )
-            for name, value in declared.parameters.items()
+            Fact(name=f"{joint}{declared.name}:{k}", value=x, interval=ends, **known)
+            for k, x in declared.parameters.items()
+            for ends in [(x - half, x + half)]
         )
         return str(report_of(declared, effects=(), facts=values))
 

@@ -114,6 +114,7 @@ TABLE = (
                prior=2 * number.PRIOR),
     Hypothesis("base_orientation", "error", scene.base_orientation, "weighs"),
     Hypothesis("external_force", "warning", scene.external_force, "moves", "poor"),
+    Hypothesis("delay", "note", scene.large_lag, "moves", "poor"),
     Hypothesis("delay", "note", scene.torque_lag, "moves", "last"),
     Hypothesis("no_gravity", "warning", scene.unloaded_slides, "weighs moves", "last"),
     Hypothesis("driving_friction", "error", torques.driving_friction, "moves", "last"),

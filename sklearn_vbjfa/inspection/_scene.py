@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from sklearn_vbjfa._core._linear_systems import orthonormal_basis
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
-from sklearn_vbjfa.inspection._reading import Change, Proposal
+from sklearn_vbjfa.inspection._reading import Change, Proposal, clear_of_all
 from sklearn_vbjfa.inspection._sentences import percent
 
 
@@ -159,9 +160,28 @@ def _loaded(robot, weight):
     return [int(j) for j in robot.joints if heavy[j] > 0.1 * heavy.max()]
 
 
-def torque_lag(reading):
+def large_lag(reading):
+    """Return a lag of all torques that is far from zero."""
+    robot, rows = reading.robot, reading.signals.row
+    if len(reading.parts) > 1:
+        return None
+    pairs = [(robot.signals.tau[:, j], robot.described[:, j]) for j in robot.joints]
+    pairs = [[(x - x.mean()) / max(x.std(), 1e-300) for x in pair] for pair in pairs]
+    total = np.sum([scipy.signal.correlate(*pair) for pair in pairs], axis=0)
+    lags = np.arange(1 - rows.size, rows.size)
+    total[2 * np.abs(lags) > rows.size] = -np.inf
+    lag = round(float(lags[np.argmax(total)] * np.median(np.diff(rows))))
+    proposal = torque_lag(reading, lag) if lag else None
+    # Other faults make torques resemble those of another time a little.
+    return proposal if proposal and proposal.fall > clear_of_all(reading) else None
+
+
+def torque_lag(reading, n_whole=0):
     """Return a lag or a low-pass that is common to all torques."""
-    robot_before, n_whole, after = _robot_in_motion(reading, reading), 0, reading
+    robot_before = _robot_in_motion(reading, reading)
+    after = reading.apply(Change(lag=n_whole)) if n_whole else reading
+    if after.is_uninformative():
+        return None
     for _ in range(number.MOVES):
         robot = robot_before if after is reading else _robot_in_motion(reading, after)
         signals = robot.signals
@@ -200,6 +220,7 @@ def torque_lag(reading):
     facts |= {"error": 1e3 * number.INTERVAL * error * reading.dt}
     kind = "torque_lowpass" if lowpass else "delay:alone" * reading.alone
     options = {"log_odds": lowpass_gain if lowpass else gain, "kind": kind}
+    options |= {"fall": -changes.sum()}
     return Proposal(joints=reading.every, value=seconds, facts=facts, **options)
 
 

@@ -188,10 +188,10 @@ SENTENCES = {
     "frame, {angle:.0f} degrees from the description: the base is mounted otherwise, "
     "as on a wall or a ceiling. Turn it in the description (a free base: by "
     "--base-orientation).",
-    "delay": "All torques are {size:.3g} ± {error:.2g} ms {late} against the positions "
+    "delay": "All torques are {size:.4g} ± {error:.2g} ms {late} against the positions "
     "({evidence}): two clocks, or a delay of the torques. The search shifts them by "
     "this lag.",
-    "delay:alone": "All torques are {size:.3g} ± {error:.2g} ms {late} against the "
+    "delay:alone": "All torques are {size:.4g} ± {error:.2g} ms {late} against the "
     "positions ({evidence}). Shift the torques of this recording by this lag.",
     "delay:drift": "The clock of the torques is about {share} {ahead} against that of "
     "the positions: their lag changes by {size:.3g} ms in the log ({evidence}). Log "

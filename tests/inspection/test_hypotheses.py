@@ -278,7 +278,7 @@ def test_encoders_that_were_zeroed_at_power_up(log):
     assert float(offsets["joint_4"]) == pytest.approx(q[0, 3], abs=0.1)
 
 
-@pytest.mark.parametrize("seconds", one_in(2, [0.05, 0.01, -0.02]))
+@pytest.mark.parametrize("seconds", one_in(2, [0.05, 0.01, -0.02, 1.5]))
 def test_a_lag_of_all_torques(log, seconds):
     recording, model, _ = log
     k = round(seconds / recording.dt)

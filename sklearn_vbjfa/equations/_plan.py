@@ -7,6 +7,7 @@ from functools import cached_property, reduce
 
 import numpy as np
 from joblib import Parallel, delayed
+from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._runtime import counted, one_blas_thread
@@ -17,7 +18,6 @@ from sklearn_vbjfa.effects import (
     InModel,
     Rest,
     TorqueLag,
-    resolve,
 )
 from sklearn_vbjfa.equations._ranges import EffectRange
 from sklearn_vbjfa.equations._states import RecordingStates, StateEstimator
@@ -216,19 +216,25 @@ def corrects_noise(regressor):
 # -- effects ---------------------------------------------------------------------------
 
 
-def check_effects(effects, nv):
-    """Return the effects as a tuple of instances, rejecting invalid ones."""
-    if isinstance(effects, (str, Effect)):
-        effects = (effects,)
-    resolved = tuple(resolve([effect])[0] for effect in effects)
-    for effect in resolved:
+def check_effects(effects, nv, friction=()):
+    """Return copies of the effects as a tuple, rejecting invalid ones."""
+    # friction: names of the terms that all joints have
+    effects, keys = (effects,) if isinstance(effects, (str, Effect)) else effects, []
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise ValueError(
+                "effects must hold instances of Effect, each with its joint, such as "
+                f"effects.Spring(joint=1); got {effect!r}."
+            )
         effect.check()
         effect.check_joints(nv)
-    keys = [(x.key(), tuple(sorted(x.shape().items()))) for x in resolved]
-    for key in keys:
-        if keys.count(key) > 1:
-            raise ValueError(f"effects holds {key[0][0]} on joint {key[0][1]} twice.")
-    return resolved
+        shape, (name, joint, *_) = effect.shape(), effect.key()
+        keys.append((effect.key(), tuple(sorted(shape.items()))))
+        declared = name in friction and not any(shape.values())
+        if declared or keys.count(keys[-1]) > 1:
+            reason = ", which friction declares on all joints" if declared else " twice"
+            raise ValueError(f"effects holds {name} on joint {joint}{reason}.")
+    return tuple(map(clone, effects))
 
 
 def needs_load(effects):

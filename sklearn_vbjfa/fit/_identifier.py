@@ -98,7 +98,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             default=("viscous", "coulomb", "offset", "rotor_inertia")
         Friction terms of each joint. The paper has ``("viscous",)``.
     effects : tuple of Effect, default=()
-        Effects beyond rigid bodies and friction, see `sklearn_vbjfa.effects`.
+        Effects beyond rigid bodies and `friction`, such as ``Spring(joint=1)``, each
+        on its joint; see `sklearn_vbjfa.effects`.
         `EffectDiscovery` finds the required ones.
     regressor : estimator, default=None
         Linear regressor, see `JointTorqueRegressor`. None is weighted least squares
@@ -456,7 +457,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.features_ = RigidBodyFeatures(self.model, friction=self.friction).load()
         model = self.features_.model_
         self.joint_names_ = joint_names(model)
-        declared = check_effects(self.effects, model.nv)
+        declared = check_effects(self.effects, model.nv, self.features_.friction_)
         # The gain of a single channel is not identifiable: it is the unit.
         single = self.gains is None and model.nv == 1
         gains = self._channel_gains = None if single else self.used_gains

@@ -228,6 +228,8 @@ def test_projection_moves_the_effects_along():
         ([effects.Coulomb(3)], "names joint 3 for coulomb; expected 0 to 2"),
         ([effects.Coulomb(-1)], "names joint -1 for coulomb"),
         ([effects.Coulomb(1), effects.Coulomb(1)], "holds coulomb on joint 1 twice"),
+        ("maxwell_slip", "instances of Effect, each with its joint.*'maxwell_slip'"),
+        ([effects.Viscous(1)], "viscous on joint 1, which friction declares"),
     ],
 )
 def test_bad_effects_are_refused(given, message):

@@ -205,8 +205,9 @@ class BaseJointFactorRegressor(BaseRegressor):
         y_mean : ndarray of shape (n_samples,)
             Predicted outputs.
         y_std : ndarray of shape (n_samples,)
-            Standard deviations of new outputs, from the uncertainty of coefficients
-            and intercept and the noise together; only with `return_std`.
+            Standard deviations of new outputs at these inputs, due to coefficients,
+            intercept and noise; only with `return_std`. With unknown `input_noise`
+            they allow for exact inputs.
         """
         X = self._check_queries(X)
         mean = X @ self.coef_ + self.intercept_
@@ -265,7 +266,8 @@ class JFARegressor(BaseJointFactorRegressor):
     coef_noisy_ : ndarray of shape (n_features,)
         Coefficients for noisy queries, w_z w_x / (w_x^2 + psi_x) (eq. 27).
     coef_std_ : ndarray of shape (n_features,)
-        Standard deviations of `coef_`, given the noise variances; infinite for an
+        Standard deviations of `coef_`, given the noise variances (for noiseless queries
+        with unknown ones, including the difference to exact inputs); infinite for an
         input whose coefficient the data cannot tell from those of others.
     coef_cov_ : ndarray of shape (n_features, n_features)
         Their covariance.
@@ -380,14 +382,17 @@ def fit_independent(data, prior, *, max_iter, tol):
     finite = np.isfinite(np.diagonal(cov_noisy))
     cov = np.where(np.outer(finite, finite), cov_noisy, 0.0) * np.outer(lift, lift)
     cov[np.diag_indices_from(cov)] += np.where(finite, 0.0, np.inf)
-    noisy = LinearModel(
-        coef=coefficients_noisy(state), cov=cov_noisy, noise=float(hidden.y_var)
+    noisy = LinearModel(coefficients_noisy(state), cov_noisy, float(hidden.y_var))
+    coef, noise = (
+        coefficients_noiseless(state, retained),
+        state.psi_y + state.psi_z.sum(),
     )
-    noiseless = LinearModel(
-        coef=coefficients_noiseless(state, retained),
-        cov=cov,
-        noise=float(state.psi_y + state.psi_z.sum()),
-    )
+    open_noise = 0.0
+    if prior.psi_x_fixed is None:
+        # The inputs may be exact: then y has the model of noisy queries.
+        cov += np.outer(coef - noisy.coef, coef - noisy.coef)
+        open_noise = max(noisy.noise - noise, 0.0)
+    noiseless = LinearModel(coef, cov, float(noise), open_noise)
     return solution, retained, noisy, noiseless
 
 

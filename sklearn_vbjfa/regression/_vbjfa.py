@@ -80,10 +80,10 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Coefficients for noisy queries (eq. 27).
     coef_std_ : ndarray of shape (n_features,)
         Posterior standard deviations of `coef_`; infinite for a constant input. For
-        noiseless queries and correlated latent inputs they include the uncertainty of
-        the input noise. Too small if all coefficients are within the noise of least
-        squares and samples are few, as in Bayesian ridge regression; with independent
-        latent inputs they are valid for relevant inputs alone.
+        noiseless queries they include the uncertainty of the input noise. Too small if
+        all coefficients are within the noise of least squares and samples are few, as
+        in Bayesian ridge regression; with independent latent inputs and known noise
+        they are valid for relevant inputs alone.
     coef_cov_ : ndarray of shape (n_features, n_features)
         Posterior covariance of `coef_`.
     intercept_ : float

@@ -31,6 +31,10 @@ def test_queries_and_their_standard_deviations():
     assert_allclose(mean, X @ model.coef_noisy_ + model.intercept_)
     # Standard deviation of the training residuals, to the root of 2 / 5000.
     assert_allclose(std.mean(), np.std(y - mean), rtol=0.01)
+    # Without known noise, the inputs may be exact: then these are noiseless queries.
+    model.set_params(query="noiseless", input_noise=None).fit(X, y)
+    mean, std = model.predict(X, return_std=True)
+    assert np.mean(std**2) > 0.99 * np.mean((y - mean) ** 2)
 
 
 def ill_conditioned(condition):

@@ -76,6 +76,7 @@ def test_torques_after_saving(name, simulated, tmp_path):
     if name == "signal":
         effect.set_params(signal="warmth")
     robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, effects=[effect])
+    robot.set_params(friction=[x for x in effects.declarable() if x != name])
     signals = {"warmth": np.sin(np.arange(n))} if name == "signal" else None
     t = simulated.dt * np.arange(n)
     with warnings.catch_warnings():

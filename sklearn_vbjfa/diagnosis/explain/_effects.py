@@ -101,7 +101,9 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising, h
             known = {key for key in std if std[key] > 0}
             # Other shapes, and the phase of a size, do not show that the effect exists.
             tested = known & _sizes(units) or known - effect.shape().keys() or known
-            significant = any(abs(size[key]) > half * std[key] for key in tested)
+            # The largest of several exceeds its own interval more often by chance.
+            level = special.stdtrit(estimate.freedom, 1 - 0.05 / max(len(tested), 1))
+            significant = any(abs(size[key]) > level * std[key] for key in tested)
             exists = any(estimate.coef) and (significant or not tested)
             warning = "" if exists else _UNKNOWN
         acted = effect.acts_on(len(names))

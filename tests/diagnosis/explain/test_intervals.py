@@ -334,3 +334,11 @@ def test_the_phase_of_an_amplitude_does_not_show_that_it_exists():
         effect = discovered(effects.Ripple(), coef=(amplitude, 0.1 * amplitude))
         assert effect.intervals["phase"][1] < 0.0
         assert bool(effect.warning) == (amplitude == -0.1)
+
+
+@pytest.mark.parametrize("coef", [(0.19, 0.0), (0.22, 0.0)])
+def test_one_of_two_sizes_must_be_significant_for_both(coef):
+    # Of thirty degrees of freedom: 1.70 deviations for one size, 2.04 for two.
+    effect = discovered(AsymmetricFriction(0), coef=coef)
+    assert effect.intervals["dFc"][0] > 0.0
+    assert bool(effect.warning) == (coef[0] < 0.2)

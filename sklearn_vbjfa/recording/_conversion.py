@@ -8,7 +8,7 @@ import numpy as np
 
 from sklearn_vbjfa.recording._clock import SAME_DT, read_time, remove_odd_rows
 from sklearn_vbjfa.recording._drives import PDDrive
-from sklearn_vbjfa.recording._grid import FileRows
+from sklearn_vbjfa.recording._grid import FileRows, merge_sources
 from sklearn_vbjfa.recording._layout import (
     channel_unit,
     find_layout,
@@ -228,7 +228,12 @@ def read_rows(table, options) -> FileRows:
             )
         options = replace(options, dt=options.dt or dt)
     layout = find_layout(table, options, robot)
-    table, rows = remove_odd_rows(table, layout, options, notes)
+    # Messages of other joints, such as those of a gripper, do not count.
+    others = {x.key for x in layout.select(*options.kinds) if isinstance(x.key, str)}
+    others = others.difference(robot.names or others)
+    used = replace(layout, roles=[x for x in layout.roles if x.key not in others])
+    table = merge_sources(table, used, notes)
+    table, rows = remove_odd_rows(table, used, options, notes)
     roles, names = _sort_roles(table, layout, options, robot, notes)
     channels, units = _convert_units(table, roles, options, notes)
     prismatic = _check_units(table, roles, units, names, robot)

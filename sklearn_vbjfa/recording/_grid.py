@@ -3,7 +3,7 @@
 import itertools
 from collections import Counter, namedtuple
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +15,12 @@ from sklearn_vbjfa.recording._clock import (
     SAME_DT,
     STEADY,
     inspect_time_stamps,
+    nanoseconds,
     prediction_errors,
 )
 from sklearn_vbjfa.recording._drives import COMMANDS
 from sklearn_vbjfa.recording._recording import contiguous_groups
-from sklearn_vbjfa.recording._table import Loss
+from sklearn_vbjfa.recording._table import RATE_RATIO, Loss
 
 # Minimum number of samples between gaps, for differentiation and held-out data.
 _MIN_SAMPLES = 16
@@ -39,13 +40,15 @@ class Log:
     noise: np.ndarray | None = None  # std of torque noise (nv,), if interpolated
 
 
-def interpolate(t, channels, dt: float):
-    """Interpolate channels (n, ...) from times t (n,) [s] on multiples of dt."""
+def interpolate(t, channels, dt: float, grid=None):
+    """Interpolate channels (n, ...) from times t (n,) [s] on a grid."""
     # Positions "q" are interpolated by a cubic spline, commands by a zero-order hold,
-    # and all other channels, which are noisier, linearly.
+    # and all other channels, which are noisier, linearly. The default grid has the
+    # period dt [s].
 
-    # The tolerance keeps the last grid point despite rounding of t.
-    grid = dt * np.arange(int(np.floor(t[-1] / dt + STEADY)) + 1)
+    if grid is None:
+        # The tolerance keeps the last grid point despite rounding of t.
+        grid = dt * np.arange(int(np.floor(t[-1] / dt + STEADY)) + 1)
     query = np.minimum(grid, t[-1])
     resampled = {}
     for key, values in channels.items():
@@ -61,6 +64,49 @@ def interpolate(t, channels, dt: float):
             rows = np.column_stack([np.interp(query, t, x) for x in rows.T])
         resampled[key] = rows.reshape(query.size, *values.shape[1:])
     return grid, resampled
+
+
+# Maximum share of rows that sources which write in turn have in common.
+_MAX_COMMON = 0.1
+
+
+def merge_sources(table, layout, notes):
+    """Merge sources that write rows in turn, at the stamps of the slowest."""
+    roles = [x for x in layout.roles if x.kind not in ("t", "segment")]
+    values = {x.column: table.values(x.column) for x in roles}
+    finite = np.array([table.frame[x].notna() for x in values])
+    if finite.all() or not layout.stamps:
+        return table
+    sources, owner = np.unique(finite, axis=0, return_inverse=True)
+    sizes = sources.sum(axis=1)
+    dates = nanoseconds(table, layout.stamps[0])
+    t = table.values(layout.stamps[0]) if dates is None else 1e-9 * (dates - dates[0])
+    if (
+        len(sources) < 2
+        or sizes.min() < max(_MIN_SAMPLES, RATE_RATIO * sizes.max())
+        or finite.all(axis=0).sum() > _MAX_COMMON * sizes.min()
+        or any(x.dtype.kind not in "iuf" for x in (t, *values.values()))
+        or any((np.diff(t[x]) <= 0).any() for x in sources)
+    ):
+        return table
+    base = sources[np.argmin(sizes)]
+    frame, grid = table.frame[base].copy(), t[base]
+    for role, rows in zip(roles, sources[owner.ravel()]):
+        x, dt = t[rows], np.median(np.diff(t[rows]))
+        # A spline attenuates the noise of torques less than straight lines do.
+        kind = role.kind if role.kind in COMMANDS else "q"
+        _, new = interpolate(x, {kind: values[role.column][rows]}, dt, grid)
+        # Do not interpolate across gaps.
+        after = np.searchsorted(x, grid).clip(1, x.size - 1)
+        apart = (x[after] - x[after - 1] > GAP_PERIODS * dt) & ~np.isin(grid, x)
+        apart |= (grid < x[0]) | (grid > x[-1])
+        frame[role.column] = np.where(apart, np.nan, new[kind])
+    frame = frame.dropna(subset=[*values])
+    notes.append(
+        f"{len(sources)} sources write rows in turn: merged at the {len(frame)} common "
+        "times of the slowest."
+    )
+    return replace(table, frame=frame)
 
 
 def _split(log, dt, starts=()):

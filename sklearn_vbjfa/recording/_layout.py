@@ -18,6 +18,7 @@ from sklearn_vbjfa.recording._table import (
     KINDS,
     LAST_PART,
     MEASURED,
+    NAMES_TITLE,
     PRESETS,
     TIME_UNITS,
     RecordingRefused,
@@ -182,8 +183,6 @@ _JOINTLESS = dict.fromkeys(("t", "time", "timestamp", "stamp", "__time", "%time"
 _JOINTLESS["segment"] = "segment"
 # Placeholders of patterns, and the regular expressions that they match.
 _MARKS = (("i", r"\d{1,6}"), ("joint", ".+?"))
-# Names of text columns that list joint names, numbers removed.
-_NAMES_TITLE = re.compile(r"(.*[^a-z])?names?[^a-z]*", re.IGNORECASE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,7 +258,7 @@ def _listed_joint_names(table, joints, n):
         if len(names) == 1:
             # A single cell holds a list as printed by Python.
             names = re.findall(r"[^\s\[\](),;|'\"]+", names[0])
-        is_list = {*joints} & {*names} if joints else _NAMES_TITLE.fullmatch(title)
+        is_list = {*joints} & {*names} if joints else NAMES_TITLE.fullmatch(title)
         if not is_list or not len({*names}) == len(names) >= n:
             continue
         rows = [texts[x].astype(str) for x in columns if x not in table.scalars]

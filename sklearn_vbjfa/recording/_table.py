@@ -20,6 +20,10 @@ import numpy as np
 MAX_BYTES = 1 << 30
 # Maximum number of list entries, and of characters of a name or cell, in messages.
 _MAX_ENTRIES, _MAX_LENGTH = 20, 60
+# Names of text columns that list joint names, numbers removed.
+NAMES_TITLE = re.compile(r"(.*[^a-z])?names?[^a-z]*", re.IGNORECASE)
+# Minimum ratio of the sample rates of sources that are merged.
+RATE_RATIO = 0.2
 
 
 class Loss(str):

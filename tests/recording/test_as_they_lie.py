@@ -1,5 +1,6 @@
 """Irregular logs: unnamed columns, JSON messages, truncated files, MATLAB objects."""
 
+import itertools
 import json
 import struct
 
@@ -108,9 +109,11 @@ def messages(arm):
 
 
 @pytest.mark.parametrize("lines", [True, False])
-def test_ros_messages_as_json(lines, arm, tmp_path):
-    path = tmp_path / "states.json"
-    states = messages(arm)
+@pytest.mark.parametrize("publishers", [1, 2])
+def test_ros_messages_as_json(lines, publishers, arm, tmp_path):
+    path, keys = tmp_path / "states.json", ("name", "position", "effort")
+    parts = itertools.product(messages(arm), range(publishers))
+    states = [x | {key: x[key][k::publishers] for key in keys} for x, k in parts]
     path.write_text("\n".join(map(json.dumps, states)) if lines else json.dumps(states))
     recording, notes = read(path, arm)
     assert_same(recording, arm)

@@ -15,6 +15,7 @@ T = DT * np.arange(N)
 JOINTS = ("shoulder", "elbow", "wrist")
 Q = np.column_stack([np.sin(3 * T + j) for j in range(3)])
 TAU = np.column_stack([np.cos(2 * T + j) for j in range(3)])
+CHANNELS = (("q", Q), ("tau", TAU))
 
 
 def log(**changes):
@@ -59,12 +60,8 @@ def test_bag_formats_with_and_without_a_folder(write, tmp_path):
 def test_joint_order_may_change_between_messages(tmp_path):
     rng = np.random.default_rng(0)
     orders = [rng.permutation(3) for _ in range(N)]
-    mixed = States(
-        names=[tuple(JOINTS[j] for j in order) for order in orders],
-        q=[Q[k, order] for k, order in enumerate(orders)],
-        tau=[TAU[k, order] for k, order in enumerate(orders)],
-        received=T,
-    )
+    mixed = log(**{x: [y[k, o] for k, o in enumerate(orders)] for x, y in CHANNELS})
+    mixed.names[:] = [tuple(JOINTS[j] for j in order) for order in orders]
     recording, _ = read(write_ros2(tmp_path / "bag", [mixed]), joint_names=JOINTS)
     np.testing.assert_array_equal(recording.q, Q)
     np.testing.assert_array_equal(recording.tau, TAU)
@@ -81,12 +78,6 @@ def test_header_stamps_are_used_unless_constant(tmp_path):
     assert "stamps in the headers stand still" in notes
 
 
-def gripper(**more):
-    t = T[::4] + 0.001
-    finger = np.sin(t)[:, None]
-    return {"t": t, "joints": ("finger",), "q": finger, "tau": 0 * finger} | more
-
-
 def merged(*topics):
     """Return the messages of several topics as one topic."""
     order = np.argsort(np.concatenate([x.received for x in topics]), kind="stable")
@@ -95,16 +86,12 @@ def merged(*topics):
         listed = [x for topic in topics for x in getattr(topic, name)]
         return [listed[k] for k in order]
 
-    return States(
-        names=values("names"),
-        q=values("q"),
-        tau=values("tau"),
-        received=np.array(values("received")),
-    )
+    return States(**{x: values(x) for x in ("names", "q", "tau", "received")})
 
 
 def test_messages_of_other_joints_are_skipped(tmp_path):
-    mixed = merged(log(), states(**gripper()))
+    t, finger = T[::4] + 0.001, np.sin(T[::4, None])
+    mixed = merged(log(), states(t, ("finger",), finger, 0 * finger))
     file = write_ros2(tmp_path / "bag", [mixed])
     recording, notes = read(file)
     assert recording.joint_names == JOINTS
@@ -115,6 +102,18 @@ def test_messages_of_other_joints_are_skipped(tmp_path):
     recording, notes = read(file, joint_names=["finger"])
     assert recording.n_samples == 20
     assert "80 of 100 messages" in notes
+
+
+def test_publishers_of_different_joints_are_merged(tmp_path):
+    late = T + 0.003
+    phase = 3 * late[:, None] + range(3), 2 * late[:, None] + range(3)
+    wrist = states(late, JOINTS[2:], np.sin(phase[0])[:, 2:], np.cos(phase[1])[:, 2:])
+    arm = log(joints=JOINTS[:2], q=Q[:, :2], tau=TAU[:, :2])
+    recording, notes = read(write_ros2(tmp_path / "bag", [merged(arm, wrist)]))
+    assert recording.joint_names == JOINTS
+    assert "2 sources write rows in turn" in notes
+    np.testing.assert_allclose(recording.q, np.sin(phase[0])[:-1], atol=1e-5)
+    np.testing.assert_allclose(recording.tau, np.cos(phase[1])[:-1], atol=1e-5)
 
 
 def test_messages_missing_a_joint_are_interpolated(tmp_path):

@@ -10,6 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa.recording._table import (
+    NAMES_TITLE,
+    RATE_RATIO,
     Loss,
     NotATable,
     RecordingRefused,
@@ -70,10 +72,24 @@ def _are_records(value):
 
 def _table_of_records(path, records) -> Table:
     """Build a table from rows given as dicts, maybe nested; missing values are nan."""
-    records = [_flatten(record) for record in records]
+    records = _with_all_joints([_flatten(record) for record in records])
     names = dict.fromkeys(name for record in records for name in record)
     columns = {name: [record.get(name) for record in records] for name in names}
     return _table_of_arrays(path, _strip_common_prefix(columns))
+
+
+def _with_all_joints(records):
+    """Extend lists by joint to all joints in one order if their names vary."""
+    for title in records[0]:
+        names = [x.get(title) for x in records]
+        if NAMES_TITLE.fullmatch(title) and all(isinstance(x, list) for x in names):
+            joints = list(dict.fromkeys(joint for x in names for joint in x))
+            for record, own in zip(records, names):
+                for key, x in record.items() if own != joints else ():
+                    if isinstance(x, list) and len(x) == len(own):
+                        record[key] = [dict(zip(own, x)).get(j) for j in joints]
+                record[title] = joints
+    return records
 
 
 def _table_of_arrays(path, arrays) -> Table:
@@ -379,11 +395,15 @@ def _joint_states(shown, topic, names, values, times, wanted):
     requested = np.isin(names, wanted)
     if valid[:, requested].any():
         valid &= requested
-    # Choose the set of simultaneously recorded joints with the most samples.
-    best = max(
-        np.unique(valid, axis=0), key=lambda x: x.sum() * valid[:, x].all(axis=1).sum()
-    )
-    rows = valid[:, best].all(axis=1)
+    # Choose the set of simultaneously recorded joints with the most samples, and those
+    # of other messages if requested or nearly as frequent.
+    sets = [(x, valid[:, x].all(axis=1)) for x in np.unique(valid, axis=0) if x.any()]
+    sets.sort(key=lambda x: x[0].sum() * x[1].sum(), reverse=True)
+    best, rows = sets[0]
+    least = rows.sum() * (RATE_RATIO if requested.any() else 0.5)
+    for others, complete in sets[1:]:
+        if not (best & others).any() and complete.sum() >= least:
+            best, rows = best | others, rows | complete
     joints, others = names[best].tolist(), sorted(names[~best])
     q, v, tau, t = q[:, best], v[:, best], tau[:, best], times[0, rows]
     mapping = "position [rad or m] as q and effort [N m or N] as tau"
@@ -407,7 +427,7 @@ def _joint_states(shown, topic, names, values, times, wanted):
     numbered = all(name.isdecimal() for name in joints)
     columns = {"t": (t - t[0]) / 1e9}
     for kind, x in (("q", q), ("tau", tau), ("v", v)):
-        if np.isfinite(x[rows]).all():
+        if np.isfinite(x[rows][np.isfinite(q[rows])]).all():
             headers = [f"{kind}{'' if numbered else '_'}{name}" for name in joints]
             columns |= dict(zip(headers, x[rows].T))
     return Table(

@@ -37,9 +37,9 @@ _MASSLESS = 1e-3
 _UNKNOWN_EXTENT, _UNKNOWN_SCALE = 10.0, 0.5
 # Maximum number of passes, and change of a mean, in deviations, at convergence.
 _MAX_PASSES, _MAX_CHANGE = 100, 1e-3
-# Maximum rescalings of the description by the common size, and relative change of that
-# size that requires one.
-_MAX_RESCALINGS, _CONTRADICTED = 20, 0.5
+# Maximum rescalings of the description by the common size, relative change of that
+# size that requires one, and factor beyond which it is no unit.
+_MAX_RESCALINGS, _CONTRADICTED, _MAX_SIZE = 20, 0.5, 1e9
 # Relative eigenvalue of the Gram matrix below which directions are never used.
 _RANK_TOLERANCE = 1e-12
 # Relative floor for the variances of a body, which are rounding below.
@@ -272,7 +272,9 @@ class _BodyProblem:
         mean[:p], root[:p, :-1] = eigen.solve(right), eigen.inverse_root()
         if not self.fixed_size:
             response = np.append(-eigen.solve(A_centre), 1.0)
-            precision = centre @ A_centre + DESCRIBED**-2 + A_centre @ response[:p]
+            # Data do not lower the precision; rounding of huge bodies would.
+            precision = max(centre @ A_centre + A_centre @ response[:p], 0.0)
+            precision += DESCRIBED**-2
             mean += response * (size_product - A_centre @ mean[:p]) / precision
             root[:, -1] = response / np.sqrt(precision)
         return mean, root
@@ -292,7 +294,7 @@ class _BodyProblem:
             covariance[part] = inverse[at, :, at]
         mean, response = solution.T
         if not self.fixed_size:
-            precision = (centre - response) @ product + DESCRIBED**-2
+            precision = max((centre - response) @ product, 0.0) + DESCRIBED**-2
             mean -= response * (centre @ q - product @ mean) / precision
             response = response.reshape(-1, 10, 1)
             covariance += response @ response.transpose(0, 2, 1) / precision
@@ -492,9 +494,10 @@ def _loosen(problem, sites):
         loose = back @ precision @ change, _matvec(back, product)
         pair = (_log_scale_weights(*x)[3] for x in (loose, (precision, product)))
         gains = np.subtract(*(logsumexp(x, axis=1) for x in pair))
-        gains *= ~unknown & [x.scale > _UNKNOWN_SCALE for x in sites]
+        possible = ~unknown & [x.scale > _UNKNOWN_SCALE for x in sites]
+        gains = np.where(possible, gains, 0.0)
         best = gains.max()
-        if best <= RIVALS - np.log(_WRONG):
+        if not best > RIVALS - np.log(_WRONG):
             return problem, sites, found, unknown
         # Its rivals are unknown, too.
         order = np.argsort(-gains, kind="stable")
@@ -513,11 +516,14 @@ def around(description, A, b):
     # dominate, then rescaled while the posterior common size contradicts it.
     H, q = _BodyProblem(description, A, b).size_equation()
     scale = q / H if H > 0 and q > 0 else 1.0
-    for _ in range(_MAX_RESCALINGS):
+    for k in range(_MAX_RESCALINGS):
+        # Equations may contradict each other if the input noise is overestimated.
+        diverges = max(scale, 1 / scale) > _MAX_SIZE or k + 1 == _MAX_RESCALINGS
+        scale = 1.0 if diverges else scale
         problem = _BodyProblem(description.scaled(scale), A, b)
         sites = problem.sites()
         mean, root = problem.solve(sites)
-        if abs(mean[-1]) < _CONTRADICTED:
+        if diverges or abs(mean[-1]) < _CONTRADICTED:
             break
         scale *= max(1.0 + mean[-1], _CONTRADICTED)
     common, std = scale * (1.0 + mean[-1]), scale * np.linalg.norm(root[-1])

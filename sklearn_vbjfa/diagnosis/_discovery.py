@@ -242,8 +242,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         library = self._check_parameters()
         arrays = recording.inputs, recording.tau, recording.groups, recording.weight
         whole, _ = self._recording(*arrays, None)
-        names = ("command", "feedback", "torque_units", "joints_named", "group_names")
-        whole = replace(whole, **{name: getattr(recording, name) for name in names})
+        kept = "v command feedback torque_units joints_named group_names"
+        whole = replace(whole, **{x: getattr(recording, x) for x in kept.split()})
         return self._fit(whole, library, signals, OfferedSignals())
 
     def _fit(self, whole, library, signals, columns):

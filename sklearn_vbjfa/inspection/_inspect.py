@@ -184,7 +184,8 @@ def inspect_as(recording, model, **settings):
     settings |= {"named": recording.joints_named, "weight": recording.weight}
     settings["timed"] = recording.t is not None
     settings["feedback"], wrong = recording.feedback, tuple(wrong_states(recording))
-    return wrong or inspect_channels(model, *channels, **settings)
+    grave = any(x.severity == "error" for x in wrong)
+    return wrong if grave else wrong + inspect_channels(model, *channels, **settings)
 
 
 def refusal(findings, units=()):

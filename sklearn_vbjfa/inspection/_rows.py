@@ -619,22 +619,35 @@ def _jump_findings(names, j, x, jumps, place):
 
 def wrong_states(recording):
     """Find given velocities or accelerations that are no derivatives; one or none."""
-    names, parts = recording.joint_names, recording.segments
-    if recording.states is None or shuffled_rows(names, recording.q, parts):
+    names, parts, dt = recording.joint_names, recording.segments, recording.dt
+    given = recording.states is not None
+    motion = [recording.q, recording.v]
+    if given:
+        motion = np.split(recording.states, 3, axis=1)
+    if motion[1] is None or shuffled_rows(names, recording.q, parts):
         return []
-    pairs = pairwise(np.split(recording.states, 3, axis=1))
-    for of, (x, rate) in zip(("positions", "velocities"), pairs):
-        joints, steps = np.flatnonzero(~still_joints(x, parts)), rate * recording.dt
-        factors = {j: _rate_factor(x[:, j], steps[:, j], parts) for j in joints}
-        wrong = [j for j in joints if not 1 / number.RATE < factors[j] < number.RATE]
+    for of, (x, rate) in zip(("positions", "velocities"), pairwise(motion)):
+        joints = np.flatnonzero(~still_joints(x, parts))
+        fits = {j: _rate_fit(x[:, j], dt * rate[:, j], parts) for j in joints}
+        wrong = [j for j in joints if not 1 / number.RATE < fits[j][0] < number.RATE]
+        back = [_rate_fit(rate[:, j], dt * x[:, j], parts) for j in wrong]
+        swapped = [j for j, y in zip(wrong, back) if abs(y - 1).max() < number.GOOD_FIT]
+        kind, severity = "wrong_states", "error"
+        if swapped:
+            kind, wrong = "wrong_states:swapped", swapped
+        elif not given:
+            # Velocities beside positions only determine the delay of a drive's.
+            wrong = [j for j in wrong if fits[j][1] > 1 - number.GOOD_FIT]
+            if recording.feedback is None:
+                kind, severity = "wrong_states:unused", "note"
         if wrong:
-            facts = {"of": of, "factor": factors[wrong[0]], "name": names[wrong[0]]}
-            return [finding("wrong_states", names, wrong, "error", **facts)]
+            facts = {"of": of, "factor": fits[wrong[0]][0], "name": names[wrong[0]]}
+            return [finding(kind, names, wrong, severity, **facts)]
     return []
 
 
-def _rate_factor(x, step, parts):
-    """Return the factor of changes of x (n,) over sums of steps."""
+def _rate_fit(x, step, parts):
+    """Return the factor of changes of x (n,) over sums of steps, and its R squared."""
     # Sums over times in which x changes by its standard deviation suppress noise.
     longest = max(part.stop - part.start for part in parts)
     pairs = [(x[p], np.cumsum(step[p]) - step[p] / 2) for p in parts]
@@ -643,7 +656,8 @@ def _rate_factor(x, step, parts):
         change, total = np.hstack([pair for pair in changes if len(pair[0])])
         if (change**2).mean() > x.var():
             break
-    return change @ total / max(total @ total, 1e-300)
+    factor = change @ total / max(total @ total, 1e-300)
+    return np.array([factor, factor * (change @ total) / max(change @ change, 1e-300)])
 
 
 def contradicted(recording, errors, size):

@@ -78,9 +78,13 @@ SENTENCES = {
     "copied_torque": _COPIED,
     "motion_as_torque": "The torques are the {what} of the joints times {factor:.3g}, "
     "to {share}: the wrong columns were taken. Give those of the torques (columns).",
-    "wrong_states": "The states [q | v | a] of {who} are inconsistent: the derivatives "
-    "of the {of} are {factor:.2g} times those given ({name}). Check the order of the "
-    "columns, their units and dt.",
+    "wrong_states": "The motion of {who} is inconsistent: the derivatives of the {of} "
+    "are {factor:.2g} times those given ({name}). Check the order of the columns, "
+    "their units and dt.",
+    "wrong_states:swapped": "The {of} of {who} are the derivatives of the columns "
+    "given as theirs: exchange the two (columns).",
+    "wrong_states:unused": "The velocities of {who} have another unit: the derivatives "
+    "of the positions are {factor:.2g} times them ({name}). They are not used.",
     # -- positions and time
     "position_degrees": _UNIT,
     "position_turns": _UNIT,

@@ -2,12 +2,14 @@
 
 import re
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier, StateEstimator
 from sklearn_vbjfa.datasets import load_demo_recording
+from sklearn_vbjfa.inspection import inspect_recording
 from sklearn_vbjfa.model import DoubtWarning
 from tests.effects._arms import inverse_dynamics
 from tests.inspection.test_many_joints import arms, record_motion
@@ -27,11 +29,8 @@ def warned(recording, q, tau, **settings):
     return [str(x.message) for x in caught if issubclass(x.category, DoubtWarning)]
 
 
-def test_fitting_a_correct_log_gives_no_warning(recording):
-    assert warned(recording, recording.q, recording.tau) == []
-
-
 def test_fit_warns_of_wrong_torque_sign_and_unit(recording):
+    assert warned(recording, recording.q, recording.tau) == []
     tau = recording.tau.copy()
     tau[:, 1] *= -1
     (message,) = warned(recording, recording.q, tau)
@@ -92,7 +91,7 @@ def test_fit_warns_of_a_single_outlier_and_of_some_in_a_row(recording):
         ([0, 1, 2], [1, 1, 1, 1], None),
         ([0, 1, 2], [1, 2, 1, 1], "of the positions are 0.5 times those given"),
         ([0, 1, 2], [1, 1, -1, 1], "of the velocities are -1 times those given"),
-        ([1, 0, 2], [1, 1, 1, 1], "all joints are inconsistent"),
+        ([1, 0, 2], [1, 1, 1, 1], "of all joints are the derivatives of the columns"),
         ([0, 1, 2], [1, 1, 1, -1], "has the wrong sign"),
     ],
 )
@@ -103,3 +102,12 @@ def test_given_states_are_inspected(recording, blocks, factors, pattern):
     messages = warned(recording, X, factors[3] * recording.tau)
     assert len(messages) == (pattern is not None)
     assert not messages or re.search(pattern, messages[0])
+
+
+def test_logged_velocities_are_compared_with_the_positions(recording):
+    v, log = np.gradient(recording.q, recording.dt, axis=0), {"states": None}
+    (note,) = inspect_recording(replace(recording, v=np.rad2deg(v), **log))
+    assert (note.kind, note.severity) == ("wrong_states", "note")
+    (error,) = inspect_recording(replace(recording, q=v, v=recording.q, **log))
+    assert error.severity == "error"
+    assert "exchange the two" in error.message

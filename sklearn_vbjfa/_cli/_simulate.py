@@ -145,10 +145,9 @@ def _windows(arguments, robot, recording):
 
 def _window_place(recording, windows, k):
     """Return the recording of a window, and its begin and end in it [s]."""
-    row = windows.starts[k]
+    row, names = windows.starts[k], recording.group_names
     label = recording.groups[row]
     begin = (row - recording.segments[label].start) * recording.dt
-    names = recording.group_names
     name = recording.name if len(names) == 1 else names[label]
     return name, begin, begin + windows.t[k, -1] - windows.t[k, 0]
 

@@ -189,10 +189,8 @@ class Plan:
 
 def make_plan(settings, effects, lengths, estimator, facts):
     # lengths: rows of each recording; facts: `MotionFacts` of all recordings.
-    dt = settings.dt
-    cutoff = resolve_cutoff(
-        settings.cutoff, max(lengths), dt, estimator, settings.drive
-    )
+    dt, drive = settings.dt, settings.drive
+    cutoff = resolve_cutoff(settings.cutoff, max(lengths), dt, estimator, drive)
     return Plan(
         dt=dt,
         state_estimator=estimator,

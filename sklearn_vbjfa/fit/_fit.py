@@ -2,7 +2,7 @@
 
 import functools
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
@@ -64,11 +64,8 @@ class FitData:
     states: RecordingStates
     numbering: object  # of the rows, see `assign_blocks`
     n_jobs: object = None
-
-    @functools.cached_property
-    def _load_free_columns(self):
-        """Cache of columns that do not depend on the load, see `build_segments`."""
-        return {}
+    # cache of columns that do not depend on the load, see `build_segments`
+    load_free: dict = field(default_factory=dict, init=False)
 
     def segments(self, robot, **changes):
         plan = replace(robot.plan, **changes)
@@ -78,7 +75,7 @@ class FitData:
             plan,
             robot.features_,
             theta=robot.load_parameters,
-            cache=self._load_free_columns,
+            cache=self.load_free,
         )
 
     def instrumental_equations(self, robot):

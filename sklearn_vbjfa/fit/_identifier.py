@@ -294,10 +294,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             reason, such as a wrong unit or sign of the torques.
         """
         self._declare()
-        recording = recording_of_arguments(
-            self, X, y, groups, sample_weight, t, signals
-        )
-        return self._fit_inspected(recording)
+        arguments = X, y, groups, sample_weight, t, signals
+        return self._fit_inspected(recording_of_arguments(self, *arguments))
 
     def fit_recording(self, recording):
         """Identify the robot from a `Recording`.
@@ -367,8 +365,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             or suggests_lag(recipe, fit, source)
         )
         if self.fit_options.torque_noise is None:
-            facts = fit.robot.noise_facts(recording, self.n_jobs)
-            fit = fit.with_noise_facts(facts)
+            fit = fit.with_noise_facts(fit.robot.noise_facts(recording, self.n_jobs))
         if self.criterion == "simulation":
             fit = refine_fit(recipe, fit, source, self.fit_options.window)
             self.criteria_ = fit.criteria
@@ -376,10 +373,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     def _recipe(self):
         """Return the settings of the estimation, including the described bodies."""
-        options = self.fit_options
         return Recipe(
             regressor=self.regressor,
-            joint_weights=options.joint_weights,
+            joint_weights=self.fit_options.joint_weights,
             projector=self.projector,
             bodies=self.bodies,
             description=self._description if self.used_gains is None else None,
@@ -478,10 +474,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def _prepare(self, recording):
         estimator, parts = None, recording.segments
         if recording.states is None:
-            cutoff = self.fit_options.state_cutoff
-            estimator = fit_states(
-                check_dt(self.dt), cutoff, recording.q, recording.groups
-            )
+            settings = check_dt(self.dt), self.fit_options.state_cutoff
+            estimator = fit_states(*settings, recording.q, recording.groups)
         halves = self.input_noise is not None
         states, facts = observe(recording, estimator, halves, self.n_jobs)
         if estimator is not None:

@@ -253,16 +253,15 @@ class DescribedRobot:
         if not joints:
             # Next to positions in degrees, those in radians appear to be at rest.
             return bool((moves > few).any())
-        fits = [self._select_rows(rows)._loss(joints) for rows in (part, ~part)]
-        (share, size), (usual, other) = fits
+        pairs = (
+            (self.signals.select_rows(x), self.regressor[x]) for x in (part, ~part)
+        )
+        fits = (DescribedRobot(self.bodies, x, self.times, y) for x, y in pairs)
+        (share, size), (usual, other) = (fit._loss(joints) for fit in fits)
         worse = (share - usual)[share > 2 * np.log(number.GOOD_FIT)]
         apart = np.logaddexp(np.log(part.mean()) + size, np.log((~part).mean()) + other)
         improvement = self._loss(joints)[1] - apart
         return bool(np.r_[improvement, worse - number.CLEAR].max() > number.CLEAR)
-
-    def _select_rows(self, rows):
-        cache = self.times, self.regressor[rows]
-        return DescribedRobot(self.bodies, self.signals.select_rows(rows), *cache)
 
     def _loss(self, joints):
         """Return logs of the unexplained share and variance (k,) of joints' torques."""

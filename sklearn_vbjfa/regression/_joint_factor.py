@@ -80,8 +80,7 @@ class BaseJointFactorRegressor(BaseRegressor):
 
     def _feature_labels(self):
         """Names for messages: the columns' names, or their numbers."""
-        names = getattr(self, "feature_names_in_", None)
-        return range(self.n_features_in_) if names is None else names
+        return getattr(self, "feature_names_in_", range(self.n_features_in_))
 
     def _fit_independent(self, data, noise, prior):
         """Fit the independent-latent model and set its attributes."""
@@ -108,8 +107,7 @@ class BaseJointFactorRegressor(BaseRegressor):
 
     def _warn_at_floor(self, at_floor, data):
         where = np.flatnonzero(data.active)[at_floor]
-        labels = self._feature_labels()
-        shown = ", ".join(str(labels[i]) for i in where[:10])
+        shown = ", ".join(str(self._feature_labels()[i]) for i in where[:10])
         warnings.warn(
             f"The input-noise variance of {where.size} input(s) ({shown}) went to "
             "zero, the smallest that the data resolve (a Heywood case): the fit takes "
@@ -122,8 +120,7 @@ class BaseJointFactorRegressor(BaseRegressor):
         """Set the attributes for a constant y or constant inputs: intercept only."""
         d = data.active.shape[0]
         zero = np.zeros(data.x_scale.size)
-        cov = np.zeros((zero.size, zero.size))
-        model = LinearModel(coef=zero, cov=cov, noise=float(data.y_scale > 0))
+        model = LinearModel(zero, np.diag(zero), noise=float(data.y_scale > 0))
         self._set_linear_models(model, model, data)
         self.input_noise_ = np.zeros(d)
         self.relevant_ = np.zeros(d, dtype=bool)
@@ -173,21 +170,15 @@ class BaseJointFactorRegressor(BaseRegressor):
         answer = noisy if self.query == "noisy" else noiseless
         self.coef_ = data.expand(answer.coef * unit)
         # A constant column does not determine its coefficient.
-        d = data.active.shape[0]
-        self.coef_cov_ = np.zeros((d, d))
-        self.coef_cov_[~data.active, ~data.active] = np.inf
-        self.coef_cov_[np.ix_(data.active, data.active)] = answer.cov * np.outer(
-            unit, unit
-        )
+        self.coef_cov_ = cov = np.diag(np.where(data.active, 0.0, np.inf))
+        cov[np.ix_(data.active, data.active)] = answer.cov * np.outer(unit, unit)
         # Without noise a variance is zero to rounding, on either side.
         self.coef_std_ = np.sqrt(np.maximum(np.diagonal(self.coef_cov_), 0.0))
         self.intercept_ = float(data.y_offset - data.x_offset @ self.coef_)
         self._x_offset = data.x_offset
         self._query_noise = (answer.noise + answer.open_noise) * y2
         # The mean of y is known from n samples.
-        self._mean_variance = 0.0
-        if self.fit_intercept:
-            self._mean_variance = self._query_noise / data.moments.n
+        self._mean_noise = self.fit_intercept * self._query_noise / data.moments.n
 
     def predict(self, X, return_std=False):
         """Predict the output.
@@ -221,7 +212,7 @@ class BaseJointFactorRegressor(BaseRegressor):
         cov = self.coef_cov_[np.ix_(finite, finite)]
         parameters = np.einsum("ij,ij->i", known @ cov, known)
         parameters = np.where(Xc[:, ~finite].any(axis=1), np.inf, parameters)
-        noise = self._query_noise + self._mean_variance
+        noise = self._query_noise + self._mean_noise
         return mean, np.sqrt(np.maximum(parameters, 0.0) + noise)
 
 

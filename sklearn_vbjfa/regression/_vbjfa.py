@@ -218,11 +218,9 @@ class VBJFARegressor(BaseJointFactorRegressor):
     def _resolve_latent(self, data):
         if self.latent != "auto":
             return self.latent
-        if self.prior == "paper":
-            return "independent"
         d = data.x_scale.size
         few = data.moments.n <= d and d > CUBIC_FEATURES
-        return "independent" if few else "correlated"
+        return "independent" if few or self.prior == "paper" else "correlated"
 
     def _fit_correlated(self, data, noise):
         d = data.active.shape[0]
@@ -240,9 +238,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
             cross=cross,
             dof=getattr(self.input_noise, "dof", np.inf),
         )
-        solution = result.noiseless_solution
-        if self.query == "noisy":
-            solution = result.noisy_solution
+        solution = getattr(result, f"{self.query}_solution")
         self._set_loop_attributes(solution, data, np.log(data.y_scale))
         self._set_linear_models(result.noisy, result.noiseless, data)
         unit = np.outer(data.x_scale, data.x_scale)

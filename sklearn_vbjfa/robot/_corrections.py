@@ -1,5 +1,6 @@
 """Corrections of base, encoders and descriptions by effects of the robot model."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,9 +89,9 @@ def _tilt(robot, turned, joint, values):
 
 def _zero(robot, turned, joint, values):
     off = float(values[0])
-    if is_prismatic(robot.features_.nominal_)[joint]:
-        return {"subtract": off, "plain": 1e3 * off, "unit": "mm"}
-    return {"subtract": off, "plain": float(np.degrees(off)), "unit": "degrees"}
+    slides = is_prismatic(robot.features_.nominal_)[joint]
+    plain, unit = (1e3 * off, "mm") if slides else (math.degrees(off), "degrees")
+    return {"subtract": off, "plain": plain, "unit": unit}
 
 
 def _axis(robot, turned, joint, values):

@@ -151,12 +151,8 @@ def test_friction_that_was_found_is_in_the_urdf(moved, tmp_path):
     by_name = {j.get("name"): j for j in ElementTree.parse(path).findall("joint")}
     for joint, name in enumerate(robot.joint_names_):
         dynamics = by_name[name].find("dynamics")
-        damping = values.get(f"{name}:viscous:Fv", 0.0)
-        friction = values.get(f"{name}:coulomb:Fc", 0.0)
-        for kind, key, total in (
-            ("viscous", "damping", damping),
-            ("coulomb", "friction", friction),
-        ):
+        for kind, key, c in ("viscous", "damping", "Fv"), ("coulomb", "friction", "Fc"):
+            total = values.get(f"{name}:{kind}:{c}", 0.0)
             assert float(dynamics.get(key)) == max(total, 0.0)
             assert ((kind, joint) in left) == (total < 0)
 

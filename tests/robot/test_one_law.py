@@ -69,8 +69,7 @@ def test_columns_match_steps_and_forward_dynamics(name, seed, way):
 def test_torques_after_saving(name, simulated, tmp_path):
     """A saved robot predicts and steps as the fitted one."""
     (effect,) = effects.resolve(name)
-    nv = simulated.q.shape[1]
-    n = 600
+    nv, n = simulated.q.shape[1], 600
     if name == "payload":
         effect.set_params(joint=nv - 1, instant=2.0)
     if name == "signal":
@@ -82,9 +81,8 @@ def test_torques_after_saving(name, simulated, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         robot.fit(simulated.q[:n], simulated.tau[:n], t=t, signals=signals)
-        path = tmp_path / "robot.json"
-        robot.save(path)
-        loaded = load_identified(path)
+        robot.save(tmp_path / "robot.json")
+        loaded = load_identified(tmp_path / "robot.json")
         X = random_motion(np.random.default_rng(0), nv, 60)
         warm = None if signals is None else {"warmth": np.arange(60.0)}
         t = simulated.dt * np.arange(60)

@@ -193,6 +193,4 @@ def named_values(effect, estimate):
         for key, value in parameters.items():
             deviation = np.sqrt(weight) * (value - values[key])
             deviations[key] = float(np.hypot(deviations[key], deviation))
-    for name, value in effect.shape().items():
-        values.setdefault(name, value)
-    return values, deviations
+    return values | {k: values.get(k, x) for k, x in effect.shape().items()}, deviations

@@ -131,8 +131,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
     data = columns["floor"], scatter, left_out, alone, motion, timed
     expectation = ExpectedError(after, *data)
     noise, enough = low <= ABOVE_FLOOR[0] * columns["floor"], columns["enough"]
-    well = (noise | (after < WELL) | ~enough) & enough.any()
-    good = noise & enough, well
+    good = noise & enough, (noise | (after < WELL) | ~enough) & enough.any()
     channels = tuple(c for c in channels if not is_refuted(c, *good))
     names, errors = identifier.joint_names_, np.where(enough, after, np.nan)
     differing = contradictions(parts, spread, loop.alpha)
@@ -152,7 +151,6 @@ def make_outcome(loop, search, final, judged, channels, whole):
     for curve in (*curves["residuals"], *curves["torques"]):
         for name in _READINGS & vars(curve).keys():
             vars(curve)[name] /= gains[curve.joint]
-    sizes = spread, floor, gains
     outcome = Outcome(
         errors=tuple(
             JointErrors(
@@ -172,7 +170,9 @@ def make_outcome(loop, search, final, judged, channels, whole):
             "effects": tuple(e for e in effects if not e.warning),
             "possible": tuple(e for e in effects if e.warning),
             "unnamed": tuple(e for e in judged_effects if isinstance(e, UnnamedTorque)),
-            "unexplained": unexplained(search, names, sizes, errors, low),
+            "unexplained": unexplained(
+                search, names, (spread, floor, gains), errors, low
+            ),
             "not_identifiable": hidden,
             "channels": channels,
             "contradictions": differing,

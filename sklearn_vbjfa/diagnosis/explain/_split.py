@@ -154,9 +154,7 @@ def _best_count(bare, parts, share):
 
 def _progress(weight):
     """Return the cumulative share of motion (n,); of time if no joint moves."""
-    cumulative = np.cumsum(weight)
-    if not cumulative[-1] > 0:
-        cumulative = np.arange(1.0, weight.size + 1)
+    cumulative = np.cumsum(weight if weight.any() else np.ones(weight.size))
     return cumulative / cumulative[-1]
 
 

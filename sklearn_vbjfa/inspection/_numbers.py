@@ -134,6 +134,7 @@ COARSE, LEVELS, ZERO, ROUNDING = 0.05, 5, 1e-9, 1e-12
 # repeats a value), and denser by this factor than torques next to the extreme value
 # (3.4 for a sine without noise).
 PLATEAU, PLATEAU_RUN, PLATEAU_RUNS, LONG_PLATEAU, DENSITY = 1e-3, 5, 3, 12, 8.0
+AVERAGED = 15  # rows over which the noise of a plateau is averaged
 # Clipped samples are a warning from this share on: on simulated arms, 0.3 % of them
 # raise the error of a joint by at most 3 %, and 1 % of them by up to 70 %.
 MANY_CLIPPED = 0.005

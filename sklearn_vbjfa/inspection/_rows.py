@@ -462,10 +462,14 @@ def outlying(x):
     return outliers | (far & (far == near).all() & (usual > 0))
 
 
-def _find_clipped(log, j, x, moving):
-    """Find plateaus at the highest or lowest torque."""
-    plateaus, limits, repeats = [], [], log.steps(x) == 0
-    width = number.PLATEAU * np.ptp(x)
+def _find_clipped(log, j, x, moving, mean=1):
+    """Find plateaus at the highest or lowest torque, also of its means over rows."""
+    plateaus, limits, repeats, width = [], [], log.steps(x) == 0, 0.0
+    if mean > 1:
+        # Third differences have 20 times the variance of the noise.
+        noise = np.median(np.abs(np.diff(x, n=3))) / (0.6745 * np.sqrt(20 * mean))
+        x, width = scipy.ndimage.uniform_filter1d(x, mean), 6 * noise
+    width = max(width, number.PLATEAU * np.ptp(x))
     # Quantised torques with noise have many values at few levels.
     _, sizes = np.unique(np.floor(x / width), return_counts=True)
     # If a torque rarely repeats a value, one plateau is sufficient; otherwise plateaus
@@ -480,16 +484,27 @@ def _find_clipped(log, j, x, moving):
             # rest, values are absolute, or some readings were lost.
             close &= log.rows_in_motion(log.q[:, [j]])
             close &= close.mean() > number.STUCK_REPEATS
-        runs = [x for x in log.runs(close) if x[1] - x[0] + 1 >= number.PLATEAU_RUN]
+        # Noise divides a plateau.
+        close = scipy.ndimage.binary_closing(close, np.ones(2 * mean - 1))
+        least = number.PLATEAU_RUN + mean - 1
+        runs = [x for x in log.runs(close) if x[1] - x[0] + 1 >= least]
         span = max((b - a + 1 for a, b in runs), default=0)
         near = ((distance > width) & (distance <= 6 * width) & moving).sum() / 5
         dense = close.sum() >= number.DENSITY * max(near, 0.5)
         longer = close.sum() >= np.quantile(sizes, 0.75) if rare else span >= 5 * usual
         exact = (x[_mask(x, runs)] == level).all() and span >= number.LONG_PLATEAU
-        if dense and longer and (len(runs) >= number.PLATEAU_RUNS or (rare and exact)):
-            limits.append(level)
+        several = len(runs) >= number.PLATEAU_RUNS
+        if dense and (longer or mean > 1) and (several or (rare and exact)):
+            limits.append(level if mean == 1 else np.median(x[_mask(x, runs)]))
             plateaus += runs
     clipped = _mask(x, plateaus)
+    if not limits and mean == 1 and rare:
+        return _find_clipped(log, j, x, moving, number.AVERAGED)
+    if mean > 1 and limits:
+        # Friction and constant accelerations give plateaus, too, but weight varies.
+        still = np.pad(log.q[clipped], ((0, 0), (0, 2 * log.q.shape[1])))
+        if np.ptp(Bodies(log.robot).described(still)[1][:, j]) <= width:
+            return np.zeros_like(clipped)
     if limits:
         where = " and ".join(f"{level:.4g}" for level in sorted(limits))
         if len(limits) == 2 and np.isclose(limits[0], -limits[1], rtol=number.PLATEAU):
@@ -559,9 +574,8 @@ def _find_stuck(log, j, stands):
             abrupt = abrupt or sudden
     if stuck:
         level = x[max(stuck, key=lambda run: run[1] - run[0])[0]]
-        severity = "error" if abrupt else "warning"
-        if _mask(x, stuck).mean() <= number.STUCK_SHARE:
-            severity = "note"
+        few = _mask(x, stuck).mean() <= number.STUCK_SHARE
+        severity = "note" if few else "error" if abrupt else "warning"
         log.report("stuck_position", j, severity, stuck, level=level)
     return _mask(x, [(a, min(b + 1, len(x) - 1)) for a, b in stuck])
 
@@ -670,9 +684,8 @@ def contradicted(recording, errors, size):
     # Rows of lost torques (zeros) make the torques appear smaller.
     empty = (tau == 0).all(axis=1).any()
     poor = (errors > number.WORST * np.std(tau, axis=0)).any()
-    if far or empty or poor:
-        return True
-    return any(outlying(x).any() for x in tau.T) or bool(wrong_states(recording))
+    contradicts = far or empty or poor or any(outlying(x).any() for x in tau.T)
+    return bool(contradicts or wrong_states(recording))
 
 
 # -- copied channels -------------------------------------------------------------------

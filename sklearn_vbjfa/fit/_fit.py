@@ -68,11 +68,10 @@ class FitData:
     load_free: dict = field(default_factory=dict, init=False)
 
     def segments(self, robot, **changes):
-        plan = replace(robot.plan, **changes)
         return build_segments(
             self.recording,
             self.states,
-            plan,
+            replace(robot.plan, **changes),
             robot.features_,
             theta=robot.load_parameters,
             cache=self.load_free,

@@ -210,7 +210,6 @@ class DescribedRobot:
         X=None,
         *,
         tau=None,
-        scale=1.0,
         spread=1.0,
         mean=None,
         columns=None,
@@ -218,16 +217,14 @@ class DescribedRobot:
         joints=None,
     ):
         """Fit torques (n, nv) minus a mean; estimate factors of columns (n, nv, m)."""
-        # scale: factor of the described bodies; spread: of their prior deviations;
-        # deviation: prior deviation of the factors.
+        # spread, deviation: factor of the bodies' prior deviations, and factors' own.
         bodies = self.bodies
         X = self.regressor if X is None else X
         tau = self.signals.tau if tau is None else tau
         joints = self.joints if joints is None else np.asarray(joints)
-        if mean is None:
-            mean = scale * (X @ bodies.parameters)
+        mean = X @ bodies.parameters if mean is None else mean
         m = 0 if columns is None else columns.shape[2]
-        prior = np.r_[scale * spread * bodies.prior_std, np.full(m, deviation)]
+        prior = np.r_[spread * bodies.prior_std, np.full(m, deviation)]
         n_inertial, terms = bodies.prior_std.size, []
         for j in joints:
             rows, used = self.rows[j], bodies.used[j]
@@ -334,10 +331,9 @@ def correlation_time(x):
     correlation = np.fft.irfft(power)[: x.size]
     if correlation[0] <= 0:
         return 1.0
-    correlation = correlation / correlation[0]
-    low = np.flatnonzero(correlation < number.INDEPENDENT)
+    low = np.flatnonzero(correlation < number.INDEPENDENT * correlation[0])
     stop = low[0] if low.size else x.size // 4
-    return max(1.0, 1.0 + 2.0 * float(correlation[1:stop].sum()))
+    return max(1.0, 1.0 + 2.0 * float(correlation[1:stop].sum() / correlation[0]))
 
 
 def _solve(joints, prior, m):

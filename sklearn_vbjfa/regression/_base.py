@@ -117,8 +117,7 @@ class LinearRegressor(BaseRegressor):
 
     def _set_coefficients(self, coef, mean):
         """Set coefficients (d,) and the intercept, given the means of [X y ...]."""
-        d = coef.size
-        self.coef_ = coef
+        self.coef_, d = coef, coef.size
         self.intercept_ = float(mean[d] - mean[:d] @ coef)
 
 

@@ -68,10 +68,8 @@ class BaseJointFactorRegressor(BaseRegressor):
         """
         first = not hasattr(self, "statistics_")
         X, y, weight = self._check_rows(X, y, sample_weight, min_samples=1, reset=first)
-        total = from_data(X, y, weight)
-        if not first:
-            total = self.statistics_ + total
-        return self._fit_moments(total)
+        rows = from_data(X, y, weight)
+        return self._fit_moments(rows if first else self.statistics_ + rows)
 
     def _fit_moments(self, moments):
         self.statistics_ = moments
@@ -102,19 +100,16 @@ class BaseJointFactorRegressor(BaseRegressor):
             # w_z in the unit of y: a standardised precision over y's variance
             self.alpha_ = data.expand(state.E_alpha / data.y_scale**2, fill=np.inf)
         if fixed is None and (at_floor := state.psi_x <= 2 * VARIANCE_FLOOR).any():
-            self._warn_at_floor(at_floor, data)
+            where = np.flatnonzero(data.active)[at_floor]
+            shown = ", ".join(str(self._feature_labels()[i]) for i in where[:10])
+            warnings.warn(
+                f"The input-noise variance of {where.size} input(s) ({shown}) went to "
+                "zero, the smallest that the data resolve (a Heywood case): the fit "
+                "takes them as exact. Give input_noise where it is known.",
+                UserWarning,
+                stacklevel=7,
+            )
         return self
-
-    def _warn_at_floor(self, at_floor, data):
-        where = np.flatnonzero(data.active)[at_floor]
-        shown = ", ".join(str(self._feature_labels()[i]) for i in where[:10])
-        warnings.warn(
-            f"The input-noise variance of {where.size} input(s) ({shown}) went to "
-            "zero, the smallest that the data resolve (a Heywood case): the fit takes "
-            "them as exact. Give input_noise where it is known.",
-            UserWarning,
-            stacklevel=8,
-        )
 
     def _fit_constant(self, data):
         """Set the attributes for a constant y or constant inputs: intercept only."""
@@ -122,10 +117,8 @@ class BaseJointFactorRegressor(BaseRegressor):
         zero = np.zeros(data.x_scale.size)
         model = LinearModel(zero, np.diag(zero), noise=float(data.y_scale > 0))
         self._set_linear_models(model, model, data)
-        self.input_noise_ = np.zeros(d)
-        self.relevant_ = np.zeros(d, dtype=bool)
-        self.alpha_ = np.full(d, np.inf)
-        self.elbo_history_ = np.array([])
+        self.input_noise_, self.relevant_ = np.zeros(d), np.zeros(d, dtype=bool)
+        self.alpha_, self.elbo_history_ = np.full(d, np.inf), np.array([])
         self.n_iter_, self.converged_ = 1, True
         return self
 

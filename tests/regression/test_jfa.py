@@ -17,9 +17,8 @@ def test_noisy_coefficients_are_least_squares_at_convergence():
 
 def test_queries_and_their_standard_deviations():
     X, y, _ = make_regression(11, 5000)
-    model = JFARegressor(
-        query="noiseless", input_noise=np.full(4, 0.16), tol=1e-10
-    ).fit(X, y)
+    model = JFARegressor(query="noiseless", input_noise=np.full(4, 0.16), tol=1e-10)
+    model.fit(X, y)
     mean, std = model.predict(X, return_std=True)
     assert_allclose(mean, X @ model.coef_ + model.intercept_)
     # 5000 samples for four coefficients: 1e-3 of the noise, 1e-2 at three standard

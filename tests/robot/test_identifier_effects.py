@@ -245,7 +245,6 @@ def test_an_effect_with_a_constant_takes_the_offset_of_its_joint():
     values = dict(zip(robot.parameter_names_, robot.theta_))
     assert values["joint_2:spring:c"] == pytest.approx(-0.4 - 0.9, rel=1e-6)
     assert values["joint_2:offset"] == 0.0
-    # Elsewhere an offset is an offset.
     for j in (1, 3):
         assert values[f"joint_{j}:offset"] == pytest.approx(offset[j - 1], abs=1e-6)
     # A spring over two joints takes that of the other one, and no spring's constant.

@@ -70,10 +70,9 @@ def test_torques_after_saving(name, simulated, tmp_path):
     """A saved robot predicts and steps as the fitted one."""
     (effect,) = effects.resolve(name)
     nv, n = simulated.q.shape[1], 600
-    if name == "payload":
-        effect.set_params(joint=nv - 1, instant=2.0)
-    if name == "signal":
-        effect.set_params(signal="warmth")
+    settings = {"payload": {"joint": nv - 1, "instant": 2.0}}
+    settings["signal"] = {"signal": "warmth"}
+    effect.set_params(**settings.get(name, {}))
     robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, effects=[effect])
     robot.set_params(friction=[x for x in effects.declarable() if x != name])
     signals = {"warmth": np.sin(np.arange(n))} if name == "signal" else None

@@ -70,8 +70,7 @@ def held_out_errors(loop, search, split, thinned, whole):
         residual = after.residual[weight[:, j] > 0, j]
         threshold[j] = np.quantile(np.abs(residual), _QUANTILE)
     error = after.relative_error(spread)
-    order = np.argsort(-np.nan_to_num(error, nan=-1.0), kind="stable")
-    worst = order[:_N_DRAWN].tolist()
+    worst = np.argsort(-np.nan_to_num(error, nan=-1), kind="stable")[:_N_DRAWN].tolist()
     return {
         "columns": {
             "before": before.relative_error(spread),

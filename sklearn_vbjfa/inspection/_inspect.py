@@ -112,6 +112,8 @@ TABLE = (
     Hypothesis("gravity_only", "error", scene.gravity_only, "weighs moves"),
     Hypothesis("no_gravity", "error", torques.missing_weight, "weighs",
                prior=2 * number.PRIOR),
+    Hypothesis("weight_factor", "error", scene.weight_factor, "weighs moves",
+               prior=2 * number.PRIOR, surpasses="loaded springs"),
     Hypothesis("base_orientation", "error", scene.base_orientation, "weighs"),
     Hypothesis("external_force", "warning", scene.external_force, "moves", "poor"),
     Hypothesis("delay", "note", scene.large_lag, "moves", "poor"),
@@ -352,10 +354,13 @@ def _apply_hypotheses(reading):
                     break
         else:
             break
+        # At equal errors only the prior of the bodies decides, which is uncertain.
+        near = number.RIVAL, number.FAR_ODDS
         rivals = [
             (match.kind or rival.name).partition(":")[0]
             for rival, (match, other_odds) in proposed
-            if rival is not hypothesis and odds - other_odds < number.RIVAL
+            if rival is not hypothesis
+            and odds - other_odds < near[0 < candidate.fall < match.fall + 1]
         ]
         findings.append(hypothesis.finding(reading, candidate, odds, rivals))
         if after is None:

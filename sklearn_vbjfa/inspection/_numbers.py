@@ -48,9 +48,9 @@ NO_WEIGHT, SLIDE_LOAD = 0.5, 0.15
 # The base has another orientation if it is turned by more than this [rad] (less is the
 # effect base_tilt) and the magnitude of gravity is right up to this factor.
 TURNED, AS_HEAVY = np.radians(15.0), 1.5
-# Factors of the sample period that are tested, unless a joint then exceeds its speed
-# limit by the second factor.
-PERIODS, PLAUSIBLE = (1e3, 1e2, 10.0, 2.0, 0.5, 0.1, 1e-2, 1e-3), 2.0
+# Usual factors of a wrong sample period, or their inverses, unless a joint then exceeds
+# its speed limit by the second value.
+PERIODS, PLAUSIBLE = (1e3, 100.0, 10.0, 8.0, 5.0, 4.0, 3.0, 2.5, 2.0, 1.0), 2.0
 # Speed limits of joints without any [rad/s, m/s], implausible multiple of a limit, and
 # samples over which speeds are measured to suppress encoder noise.
 FASTEST_TURN, FASTEST_SLIDE, TOO_FAST, SPEED_SAMPLES = 60.0, 10.0, 5.0, 5

@@ -434,27 +434,29 @@ def periods(reading):
     """Return the best other sample period."""
     dt, robot, required = reading.dt, reading.robot, clear_of_all(reading)
     # A rate in Hz is the inverse of a period.
-    inverse = (1 / dt**2,) if dt >= number.LONG_PERIOD else ()
-    fastest = number.TOO_FAST * (_speeds(reading) / _too_fast(reading.model)).max()
-    factors = [x for x in number.PERIODS + inverse if fastest <= number.PLAUSIBLE * x]
-    changes = [Change(period=x) for x in dict.fromkeys(factors)]
+    factors = [1 / dt**2] if dt >= number.LONG_PERIOD else []
+    factors += [*number.PERIODS, *(1 / x for x in number.PERIODS)]
+    least = number.TOO_FAST * (_speeds(reading) / _too_fast(reading.model)).max()
+    changes = [Change(period=x) for x in factors if least <= number.PLAUSIBLE * x]
+    usual = min(changes, key=reading.score, default=Change())
     # Bodies absorb a small deviation of a single joint, but not of several.
-    near, (error,) = refine(reading, Change(), [lambda x: Change(period=np.exp(x))])
-    least, most = number.NEAR_PERIODS
-    if max(least, 3 * error) < abs(np.log(near.period)) < most:
-        changes.append(near)
-    options = {"variants": len(changes), "joints": reading.every}
-    proposal = most_probable(judge(reading, x, required, **options) for x in changes)
-    if proposal is None or proposal.log_odds + number.PRIOR <= number.DECISIVE:
+    near, (error,) = refine(reading, usual, [lambda x: Change(period=np.exp(x))])
+    (least, most), deviation = number.NEAR_PERIODS, abs(np.log(near.period))
+    candidates = (near if deviation > max(least, 3 * error) else Change()), usual
+    joints = {"joints": reading.every}
+    proposal, usual = (judge(reading, x, required, **joints) for x in candidates)
+    if usual and usual.log_odds > getattr(proposal, "log_odds", 0.0) - number.RIVAL:
+        proposal = usual
+    if not (proposal and proposal.clear):
         return None
     # A period changes inertial torques relative to the weight. Alternatives with the
-    # same effect are a scaled weight, the weight alone, or springs.
-    scaled = robot.fit(columns=robot.weight[:, :, None], deviation=1.0)
+    # same effect are the weight alone and springs.
     weight_only = robot.fit(robot.regressor - robot.floating.regressor)
-    best_rival = max(scaled.evidence, weight_only.evidence) - robot.baseline.evidence
-    if max(best_rival, robot.springs) > proposal.log_odds - number.RIVAL:
+    rival = weight_only.evidence - robot.baseline.evidence
+    least = max(rival + number.FAR_ODDS, robot.springs + number.RIVAL)
+    if proposal.log_odds < least:
         return None
     period = dt * proposal.change.period
     remedy, facts = {"dt": float(f"{period:.6g}")}, {"dt": dt, "period": period}
-    severity = "warning" * (proposal.change is near)
+    severity = "warning" if deviation < most else ""
     return replace(proposal, severity=severity, remedy=remedy, facts=facts)

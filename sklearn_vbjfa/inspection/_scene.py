@@ -60,13 +60,35 @@ def weightless(reading):
         return None
     heavy = np.abs(robot.weight[:, affected]).max()
     facts = {"share": share, "error": error, "heavy": heavy, "other": ""}
-    is_part = abs(share) > max(2 * error, number.GOOD_FIT)
-    facts["part"] = "only a part of the weight" if is_part else "no weight"
     if len(loaded) == 1:
         facts["other"] = " Or a spring balances it, or the base is mounted otherwise."
     options = {"kind": "no_gravity:joints" * (len(affected) < len(loaded))}
     options["severity"] = "warning" * (len(affected) < max(2, len(loaded)))
     return Proposal(joints=tuple(affected), log_odds=odds, facts=facts, **options)
+
+
+def weight_factor(reading):
+    """Return a factor of the weight of all links, other than zero and one."""
+    robot, factor, (least, most) = reading.robot, 1.0, number.NEAR_PERIODS
+    for _ in range(number.PASSES):
+        X = robot.under_gravity(factor * reading.bodies.gravity)
+        fit = robot.fit(X, columns=robot.weight[:, :, None], deviation=1.0)
+        factor, error = factor + fit.factors[0], number.INTERVAL * fit.errors[0]
+        if abs(fit.factors[0]) < least:
+            break
+    # A period has the square root of this effect on inertial torques. On a single
+    # joint, a spring or another mounting has the same effect.
+    size = 0.5 * abs(np.log(max(factor, number.GOOD_FIT)))
+    loaded, gravity = _loaded(robot, robot.weight), factor * reading.bodies.gravity
+    if factor < number.GOOD_FIT or size < max(least, error) or len(loaded) < 2:
+        return None
+    facts = {"share": factor, "error": error, "period": np.sqrt(factor) * reading.dt}
+    facts |= {"gain": 1 / factor, "heavy": np.abs(robot.weight[:, loaded]).max()}
+    fit, options = robot.fit(robot.under_gravity(gravity)), {"joints": tuple(loaded)}
+    odds, fall = fit.evidence - robot.baseline.evidence, fit.fall(robot.baseline)
+    options |= {"log_odds": odds, "severity": "warning" if size < most else ""}
+    options |= {"fall": fall, "clear": fall >= number.CLEAR * len(loaded)}
+    return Proposal(change=Change(gravity=9.81 * gravity), facts=facts, **options)
 
 
 def unloaded_slides(reading):

@@ -170,9 +170,9 @@ SENTENCES = {
     "drive=CurrentDrive(signed=False), which finds the signs.",
     "unsigned_torque:half": "The torque of {who} has one sign only and is zero in "
     "{share} of its samples amid the motion: the other one was lost. Log signed ones.",
-    "no_gravity": "The torques contain {part} of the links: the factor of gravity "
-    "is {share:.2f} ± {error:.2f} (described weight: up to {heavy:.3g} N m on "
-    "{who}).{other} Log the torques before the controller subtracts gravity.",
+    "no_gravity": "The torques contain no weight of the links, or a part: its factor "
+    "is {share:.2f} ± {error:.2f} (described: up to {heavy:.3g} N m on {who}).{other} "
+    "Log the torques before the controller subtracts gravity.",
     "no_gravity:unit": "The torques contain no weight of the links, and are "
     "{factor:.3g} ({low:.2g} to {high:.2g}) times the described ones: motor currents "
     "or another unit than N m{inside}. Log them before the controller subtracts "
@@ -183,6 +183,10 @@ SENTENCES = {
     "no_gravity:slides": "The mean force lacks the described weight ({each}): the "
     "controller subtracts it, or a counterbalance carries it. Log the forces before it "
     "is subtracted, or correct the description.",
+    "weight_factor": "The torques contain {share:.2f} ± {error:.1g} times the weight "
+    "of the links (described: up to {heavy:.3g} N m on {who}; {evidence}): a part was "
+    "subtracted, or it was added. Log the torques of the motors. As probable: a period "
+    "of {period:.3g} s and another unit (gains={gain:.3g}).",
     "gravity_only": "The torques contain the weight of the links alone: the factor of "
     "their inertia is {part:.2f} ± {error:.2f}. Log the torques of the motors, not a "
     "model of gravity.",

@@ -59,6 +59,8 @@ FAULTS = {
     "copied": ("copied_position copied_torque", (0, 1), lambda q, y, w: (
         replaced(q, EVERY, 1, q[:, 0]), replaced(y, EVERY, 1, y[:, 0]))),
     "weightless": ("no_gravity", (1, 2), lambda q, y, w: (q, y - w)),
+    "half the weight": ("weight_factor", (1, 2), lambda q, y, w: (q, y - 0.5 * w)),
+    "weight added": ("weight_factor", (1, 2), lambda q, y, w: (q, y + w)),
     "some weightless": ("no_gravity", (1, 2), lambda q, y, w: (
         q, y - w * [0, 1, 1, 0, 0, 0])),
     "one weightless": ("no_gravity", (1,), lambda q, y, w: (
@@ -108,9 +110,8 @@ def test_a_single_fault_is_the_only_finding(log, name):
 def test_interval_of_a_common_torque_factor_contains_it(log, factor):
     kinds, found = faults_of(log, tau=factor * log[0].tau)
     assert kinds == ["torque_unit"]
-    low, high = (
-        float(x) for x in found[0].message.split("(")[1].split(")")[0].split(" to ")
-    )
+    shown = found[0].message.split("(")[1].split(")")[0]
+    low, high = map(float, shown.split(" to "))
     assert low < factor < high
 
 
@@ -324,7 +325,7 @@ def test_coupled_axes(log, torques):
     assert ("torque of joint_2" in found[0].message) == torques
 
 
-@pytest.mark.parametrize("factor", [*one_in(2, [0.5, 2.0]), 1.05])
+@pytest.mark.parametrize("factor", [*one_in(2, [0.5, 2.0]), 4.0, 1.05])
 def test_a_wrong_sample_period_is_found(log, factor):
     recording, model, _ = log
     signals = recording.q, recording.tau, factor * recording.dt

@@ -262,8 +262,7 @@ class DescribedRobot:
 
     def _loss(self, joints):
         """Return logs of the unexplained share and variance (k,) of joints' torques."""
-        is_same = np.array_equal(joints, self.joints)
-        log_share = (self.baseline if is_same else self.fit(joints=joints)).loss
+        log_share = self.fit(joints=joints).loss
         variances = [self.signals.tau[self.rows[j], j].var() for j in joints]
         return log_share, log_share + np.log(variances)
 

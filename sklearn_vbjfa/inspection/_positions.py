@@ -61,7 +61,7 @@ def reordered(order, what="positions and torques"):
 
 def usual_orders(reading):
     """Return common orders of joints (nv,) that differ, and their inverses."""
-    # By name, or Pinocchio's: depth first, branches sorted by name.
+    # By name, Pinocchio's (depth first, branches by name), or pairs of limbs exchanged.
     parents, names = list(reading.model.parents)[1:], reading.names
 
     def branch(joint):
@@ -69,8 +69,14 @@ def usual_orders(reading):
         children.sort(key=lambda k: names[k - 1])
         return [x for k in children for x in (k - 1, *branch(k))]
 
-    usual = np.argsort(names, kind="stable"), np.array(branch(0))
-    orders = [x for order in usual for x in (order, np.argsort(order))]
+    usual = [np.argsort(names, kind="stable"), np.array(branch(0))]
+    for joint in set(parents):
+        limbs = [[k, *branch(k + 1)] for k, x in enumerate(parents) if x == joint]
+        for size in set(map(len, limbs)):
+            same = np.array([x for x in limbs if len(x) == size])
+            usual.append(np.arange(reading.nv))
+            usual[-1][same] = same[np.minimum(np.arange(len(same)) ^ 1, len(same) - 1)]
+    orders = np.unique([x for y in usual for x in (y, np.argsort(y))], axis=0)
     return [x for x in orders if (np.diff(x) < 0).any()]
 
 
@@ -449,12 +455,10 @@ def periods(reading):
         proposal = usual
     if not (proposal and proposal.clear):
         return None
-    # A period changes inertial torques relative to the weight. Alternatives with the
-    # same effect are the weight alone and springs.
+    # The weight alone and springs have a similar effect.
     weight_only = robot.fit(robot.regressor - robot.floating.regressor)
-    rival = weight_only.evidence - robot.baseline.evidence
-    least = max(rival + number.FAR_ODDS, robot.springs + number.RIVAL)
-    if proposal.log_odds < least:
+    least = weight_only.evidence - robot.baseline.evidence + number.FAR_ODDS
+    if proposal.log_odds < max(least, robot.springs + number.RIVAL):
         return None
     period = dt * proposal.change.period
     remedy, facts = {"dt": float(f"{period:.6g}")}, {"dt": dt, "period": period}

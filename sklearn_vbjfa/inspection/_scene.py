@@ -47,15 +47,8 @@ def weightless(reading):
     offset, weight = np.linalg.norm(means, axis=1)
     if not affected or offset > number.SLIDE_LOAD * weight > 0:
         return None
-    columns = np.stack([moving, robot.weight], axis=-1)
-    mean = np.zeros_like(moving)
-    fit = robot.fit(inertial, mean=mean, columns=columns, joints=affected)
-    # A controller subtracts the described weight, not that of the true bodies.
-    weight = {"columns": robot.weight[:, :, None], "deviation": 1.0}
-    weight_fit = robot.fit(**weight, joints=affected)
-    shares = fit.factors[1], 1.0 + weight_fit.factors[0]
-    errors = number.INTERVAL * np.array([fit.errors[1], weight_fit.errors[0]])
-    share, error = min(zip(shares, errors), key=lambda x: abs(x[0]))
+    fit = robot.fit(columns=robot.weight[:, :, None], deviation=1.0, joints=affected)
+    share, error = 1.0 + fit.factors[0], number.INTERVAL * fit.errors[0]
     if abs(share) + error > number.NO_WEIGHT:
         return None
     heavy = np.abs(robot.weight[:, affected]).max()
@@ -76,8 +69,7 @@ def weight_factor(reading):
         factor, error = factor + fit.factors[0], number.INTERVAL * fit.errors[0]
         if abs(fit.factors[0]) < least:
             break
-    # A period has the square root of this effect on inertial torques. On a single
-    # joint, a spring or another mounting has the same effect.
+    # A period has the square root of this effect; on a single joint, so has a spring.
     size = 0.5 * abs(np.log(max(factor, number.GOOD_FIT)))
     loaded, gravity = _loaded(robot, robot.weight), factor * reading.bodies.gravity
     if factor < number.GOOD_FIT or size < max(least, error) or len(loaded) < 2:

@@ -181,15 +181,13 @@ SENTENCES = {
     "({evidence}; described weight: up to {heavy:.3g} N m), those of other joints do. "
     "Log them before the controller subtracts gravity.",
     "no_gravity:slides": "The mean force lacks the described weight ({each}): the "
-    "controller subtracts it, or a counterbalance carries it. Log the forces before it "
-    "is subtracted, or correct the description.",
+    "controller subtracts it, or a counterbalance carries it. Log the whole forces.",
     "weight_factor": "The torques contain {share:.2f} ± {error:.1g} times the weight "
     "of the links (described: up to {heavy:.3g} N m on {who}; {evidence}): a part was "
     "subtracted, or it was added. Log the torques of the motors. As probable: a period "
     "of {period:.3g} s and another unit (gains={gain:.3g}).",
     "gravity_only": "The torques contain the weight of the links alone: the factor of "
-    "their inertia is {part:.2f} ± {error:.2f}. Log the torques of the motors, not a "
-    "model of gravity.",
+    "their inertia is {part:.2f} ± {error:.2f}. Log the torques of the motors.",
     "computed_torque": "The torques are those of the description to {share}, without "
     "friction: a model was logged, not a measurement. Log the torques of the motors.",
     "base_orientation": "By the torques, gravity pulls along ({pull}) of the base "
@@ -214,7 +212,7 @@ SENTENCES = {
     "unverified:size": "The size of the torques cannot be verified: gravity is nearly "
     "constant in this motion, and inertia is like rotor inertia.",
     "unverified:order": "The columns are assumed to be in the order of the description "
-    "({names}): in the order of the names the torques agree as well.",
+    "({names}): by name, or with left and right exchanged, torques agree as well.",
 }
 
 

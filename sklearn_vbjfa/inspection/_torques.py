@@ -114,10 +114,9 @@ def torque_factors(robot, common):
 def missing_weight(reading):
     """Return the common factor of torques that contain no weight of the links."""
     # Without gravity, or with the described weight subtracted.
-    subtracted = copy(reading.robot)
-    subtracted.described = reading.robot.floating.described
-    robots = reading.robot.floating, subtracted
-    return most_probable(common_scale(reading, robot) for robot in robots)
+    robot, subtracted = reading.robot.floating, copy(reading.robot)
+    subtracted.described = robot.described
+    return most_probable(common_scale(reading, x) for x in (robot, subtracted))
 
 
 def common_scale(reading, weightless=None):

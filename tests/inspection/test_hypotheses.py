@@ -388,8 +388,7 @@ def test_torques_of_the_description(log):
     recording, model, _ = log
     v = np.gradient(recording.q, recording.dt, axis=0)
     states = np.hstack([recording.q, v, np.gradient(v, recording.dt, axis=0)])
-    tau = inverse_dynamics(model, states)
-    assert faults_of(log, tau=tau)[0] == ["computed_torque"]
+    assert faults_of(log, tau=inverse_dynamics(model, states))[0] == ["computed_torque"]
 
 
 def chain(*joints):
@@ -397,9 +396,8 @@ def chain(*joints):
     model = pin.Model()
     for name, kind, parent in joints:
         placement = pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.1]) * parent)
-        joint_id = model.addJoint(
-            parent, getattr(pin, f"JointModel{kind}")(), placement, name
-        )
+        joint = getattr(pin, f"JointModel{kind}")()
+        joint_id = model.addJoint(parent, joint, placement, name)
         body = pin.Inertia.FromBox(2.0, 0.1, 0.1, 0.1)
         centre = pin.SE3(np.eye(3), np.array([0.2, 0.02, 0.05]))
         model.appendBodyToJoint(joint_id, body, centre)
@@ -429,12 +427,13 @@ def test_the_size_of_torques_is_verified_unless_gains_are_identified():
 
 
 def test_order_of_identical_branches_is_unverified():
-    arms = (("right", "RY", 0), ("right_2", "RX", 1))
-    model = chain(*arms, ("left", "RY", 0), ("left_2", "RX", 3))
-    (finding,) = inspect_channels(model, *simulated(model))
-    assert (finding.kind, finding.severity) == ("unverified", "note")
-    assert "assumed to be in the order of the description" in finding.message
-    assert inspect_channels(model, *simulated(model), named=True) == ()
+    for first, other in (("right", "left"), ("left", "right")):
+        arms = ((first, "RY", 0), (f"{first}_2", "RX", 1))
+        model = chain(*arms, (other, "RY", 0), (f"{other}_2", "RX", 3))
+        (finding,) = inspect_channels(model, *simulated(model))
+        assert (finding.kind, finding.severity) == ("unverified", "note")
+        assert "assumed to be in the order of the description" in finding.message
+        assert inspect_channels(model, *simulated(model), named=True) == ()
 
 
 def test_a_robot_without_gravity_load_is_unverified():

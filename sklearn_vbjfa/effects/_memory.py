@@ -19,7 +19,6 @@ from sklearn_vbjfa.effects._base import (
     Shaped,
     Stateful,
 )
-from sklearn_vbjfa.effects._motion import Arrays
 
 # Widths of play to try, as shares of half of the joint's range.
 _WIDTHS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
@@ -40,8 +39,6 @@ _AT_ONCE = (
 )
 # Points of the curve from which the displacement at half of the friction is read.
 _CURVE = 200
-# Smallest mean sign of the velocity of a moving joint.
-_MOVES = 0.99
 
 
 @functools.cache
@@ -54,38 +51,43 @@ def _compiled(function):
 
 
 def elements(
-    q, displacements, level=1.0, falls=False, creeps=False, before=(), sign=None
+    q,
+    displacements,
+    level=1.0,
+    falls=False,
+    creeps=False,
+    before=(),
+    widths=(0.0, 0.0),
 ):
     """Return states (n, k) of elements that slip at, or creep towards, a level."""
     # level (n,): of the elements marked in `falls`, bool (k,); that of the others is 1.
     # before: earlier positions of the joint, z is zero at the first one.
-    # sign (n,): mean sign of the velocity; None for the sign of each step.
+    # widths: plays of elements without, and of those with a displacement.
     d = np.asarray(displacements, dtype=float)
-    sign = np.sign(np.diff(q, prepend=q[:1])) if sign is None else sign
     z = np.zeros((q.size, d.size))
+    path = np.append(before, q)
+    paths = np.column_stack([play(path, width) for width in widths])[len(before) :]
     if len(before):
         # At a constant level the states depend on the reversals alone.
         ends = _compiled(_reversals)(np.append(before, q[0]))
-        z[0] = elements(ends, d, creeps=creeps)[-1]
+        z[0] = elements(ends, d, creeps=creeps, widths=widths)[-1]
     level, falls = np.broadcast_to(level, q.shape), np.broadcast_to(falls, d.shape)
-    arrays = (np.ascontiguousarray(x) for x in (q, d, level, falls, sign))
-    _compiled(_elements)(*arrays, creeps, _MOVES, z)
+    arrays = (np.ascontiguousarray(x) for x in (paths, d, level, falls))
+    _compiled(_elements)(*arrays, creeps, z)
     return z
 
 
-def _elements(q, d, level, falls, sign, creeps, threshold, z):
+def _elements(paths, d, level, falls, creeps, z):
     """Compute states z (n, k) from that of the first row."""
-    direction = 1.0
-    for i in range(q.size):
+    for i in range(len(paths)):
         previous = max(i - 1, 0)
-        step = q[i] - q[previous]
-        if step != 0:
-            direction = 1.0 if step > 0 else -1.0
+        turn = paths[i, 0] - paths[previous, 0]
+        step = paths[i, 1] - paths[previous, 1]
+        direction = -1.0 if step < 0 else 1.0
         for k in range(d.size):
             limit = level[i] if falls[k] else 1.0
             if d[k] == 0:
-                side = sign[i] if abs(sign[i]) > threshold else z[previous, k]
-                z[i, k] = np.sign(side) * limit
+                z[i, k] = np.sign(turn if turn != 0 else z[previous, k]) * limit
                 continue
             aligned, travel = direction * z[previous, k], direction * step / d[k]
             if creeps:
@@ -263,11 +265,11 @@ class MaxwellSlip(Shaped, Converted, Bank):
         constant, loaded, _ = self._split(np.arange(d.size))
         falls = np.arange(d.size) >= constant.size + loaded.size
         level = 1.0 + np.exp(-((motion.v[:, j] / self.vs) ** 2))
-        sign = Arrays(motion.rest).sign(j)(motion.v[:, j], motion.a[:, j])
+        widths = motion.rest.plays(j) if motion.rest else (0.0, 0.0)
         before = motion.before(j) if motion.before else [()] * len(motion.parts)
         z = np.empty((level.size, d.size))
         for part, earlier in zip(motion.parts, before, strict=True):
-            arguments = level[part], falls, self._creeps, earlier, sign[part]
+            arguments = level[part], falls, self._creeps, earlier, widths
             z[part] = elements(motion.q[part, j], d, *arguments)
         if loaded.size:
             z[:, loaded] *= np.abs(motion.load[:, [j]])
@@ -283,18 +285,17 @@ class MaxwellSlip(Shaped, Converted, Bank):
         constant, loaded, falling = self._banks
         d = [float(x) for x in (*constant, *loaded, *falling)]
         first, second = len(constant), len(constant) + len(loaded)
-        last, direction, side, z, sign = None, 1.0, 0.0, [0.0] * len(d), maths.sign(j)
+        paths, side, z = (), 0.0, [0.0] * len(d)
+        halves = [x / 2 for x in (maths.rest.plays(j) if maths.rest else (0.0, 0.0))]
 
         def torque(state):
-            nonlocal last, direction, side
-            q = state.q[j]
-            step = 0.0 if last is None else q - last
-            last = q
-            if step:
-                direction = 1.0 if step > 0 else -1.0
-            mean_sign = sign(state.v[j], state.a[j])
-            if abs(mean_sign) > _MOVES:
-                side = 1.0 if mean_sign > 0 else -1.0
+            nonlocal paths, side
+            q, old = state.q[j], paths or 2 * (state.q[j],)
+            paths = [min(max(p, q - h), q + h) for p, h in zip(old, halves)]
+            turn, step = (p - last for p, last in zip(paths, old))
+            direction = -1.0 if step < 0 else 1.0
+            if turn:
+                side = 1.0 if turn > 0 else -1.0
             falling_level = 1.0 + exp(-((state.v[j] / vs) ** 2)) if falling else 1.0
             for k, displacement in enumerate(d):
                 level = falling_level if k >= second else 1.0

@@ -39,7 +39,15 @@ class Rest:
     # `StateEstimator.rounding` [rad/s^2 or m/s^2, s]
     corner: np.ndarray | float = 0.0
     rounding: np.ndarray | float = 0.0
+    # (2, nv): half of the largest change of an estimated position at rest [rad or m],
+    # and the same for joints that stop at reversals, else 0: plays through which
+    # Coulomb friction and other friction with memory follow the position
+    play: np.ndarray | None = None
     span: float = 0.0  # time over which the sign of a sample is averaged [s]
+
+    def plays(self, joint):
+        """Return the widths of both plays of a joint [rad or m], two floats."""
+        return (0.0, 0.0) if self.play is None else tuple(2 * self.play[:, joint])
 
     def pick(self, *joints):
         """Return the parameters of one joint, or of the sum of several joint speeds."""

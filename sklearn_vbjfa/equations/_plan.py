@@ -61,6 +61,10 @@ STANDSTILL_SHARE = 0.02
 # A joint also stands still below the first share of the fastest joint's speed, which
 # is rounding, or if it never moves by more than so many deviations of encoder noise.
 _ROUNDING, _NOISE = 1e-9, 5.0
+# Half of the largest change of the position of a joint at rest, over the standard
+# deviation of its noise: about 4 for noise in a thousand rows, and as much for the
+# overshoot of smoothing, whose cut-off makes both errors alike.
+_PLAY = 8.0
 # A joint that reverses without stopping is below the standstill speed for as long as
 # between one and three times that speed; one that stops, longer by this factor.
 _STOP_RATIO = 1.2
@@ -154,9 +158,11 @@ class Plan:
         # A fit masks joints that may be at rest, except those with memory.
         reversals, zeros = self._reversals(self.state_estimator), 0.0 * self.standstill
         speed = np.where(self._unmasked, np.maximum(self.standstill, 0.0), 0.0)
-        if not (reversals or speed.any()):
+        play = self._play(self.state_estimator) * self._unmasked
+        if not (reversals or speed.any() or play.any()):
             return None
-        return Rest(speed=speed, time=self._rest_times, noise=zeros, **reversals)
+        facts = {"time": self._rest_times, "noise": zeros, "play": play}
+        return Rest(speed=speed, **facts, **reversals)
 
     def _reversals(self, estimator):
         """Return the arguments of `Rest` that describe reversals, for an estimator."""
@@ -172,11 +178,24 @@ class Plan:
         speed, reversals = np.maximum(self.standstill, 0.0), self._reversals(estimator)
         noise = 0.0 * speed
         if estimator is not None:
-            noise = estimator.velocity_noise()
+            noise = estimator.noise(1)
         elif self.state_estimator is not None:
-            least = _NOISE * self.state_estimator.velocity_noise()
+            least = _NOISE * self.state_estimator.noise(1)
             speed = np.where(least > 0, np.minimum(least, speed), speed)
-        return Rest(speed=speed, time=self._rest_times, noise=noise, **reversals)
+        play = self._play(self.state_estimator or estimator)
+        facts = {"time": self._rest_times, "noise": noise, "play": play}
+        return Rest(speed=speed, **facts, **reversals)
+
+    def _play(self, estimator):
+        """Return `Rest.play` (2, nv) of the positions of an estimator, or None."""
+        if estimator is None:
+            return np.zeros((2, self.standstill.size))
+        # At most the travel at the standstill speed in the response time of the
+        # smoother: errors of coarse positions are no noise at rest.
+        rate = 2 * np.pi * np.minimum(estimator.cutoff_, 0.5 / estimator.dt)
+        most = np.maximum(self.standstill, 0.0) / rate
+        play = np.minimum(_PLAY * estimator.noise(0), most)
+        return np.array([play, play * (False if self.stops is None else self.stops)])
 
     @property
     def _rest_times(self):

@@ -186,8 +186,8 @@ class StateEstimator(TransformerMixin, BaseEstimator):
             states[part] = self.smooth(X[part], part.start)[:]
         return states
 
-    def velocity_noise(self):
-        """Estimate the std (nv,) of velocity noise [rad/s or m/s]; zero if unknown."""
+    def noise(self, order):
+        """Estimate the std (nv,) of the noise of a derivative; zero if unknown."""
         # White encoder noise through the smoother.
         frequency = np.linspace(0.0, 0.5 / self.dt, _NOISE_GRID)
         noise = np.zeros(self.n_features_in_)
@@ -196,7 +196,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                 gain = 1.0
                 if np.isfinite(cutoff):
                     gain = _smoothing.gain(frequency, self.dt, cutoff)
-                power = np.mean((2 * np.pi * frequency * gain) ** 2)
+                power = np.mean(((2 * np.pi * frequency) ** order * gain) ** 2)
                 noise[j] = np.sqrt(variance * power)
         return noise
 

@@ -501,7 +501,7 @@ def _loosen(problem, sites):
             return problem, sites, found, unknown
         # Its rivals are unknown, too.
         order = np.argsort(-gains, kind="stable")
-        found.append((order[gains[order] > best - RIVALS], best))
+        found.append((order[gains[order] >= best - RIVALS], best))
         unknown[found[-1][0]] = True
         description = problem.description.loosened(unknown)
         problem = replace(problem, description=description)

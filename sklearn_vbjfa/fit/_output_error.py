@@ -119,7 +119,7 @@ def _start_noise(estimator, nv):
         return np.zeros(2 * nv)
     variance = estimator.noise_variance_
     encoder = np.sqrt(np.where(np.isnan(variance), 0.0, variance))
-    return np.concatenate([encoder, estimator.velocity_noise()])
+    return np.concatenate([encoder, estimator.noise(1)])
 
 
 # -- simulation and criterion ----------------------------------------------------------

@@ -784,6 +784,10 @@ class IdentifiedRobot:
         inputs, groups = recording.inputs, recording.groups
         smoother = self.smoother(inputs, groups, in_band=True)
         states = inputs if smoother is None else smoother.transform(inputs, groups)
+        if smoother is not None:
+            # Friction with memory would follow the overshoot of smoother positions.
+            nv = inputs.shape[1]
+            states[:, :nv] = self.states(inputs, groups)[:, :nv]
         return Inputs(
             recording=self._on_clock(recording),
             states=states,

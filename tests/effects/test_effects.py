@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import Motion, elements, play
+from sklearn_vbjfa.effects import Motion, Rest, elements, play
 from tests.effects._arms import (
     Derivatives,
     arm,
@@ -283,16 +283,23 @@ def test_zero_displacements_reduce_to_the_contained_effects():
     assert bank.contains == ("coulomb", "load_friction")
     plain = effects.Coulomb(0), effects.LoadFriction(0)
     plain += (effects.Stribeck(0, vs=0.3, k=2),)
-    moved, moving = signals(), V[:, 0] != 0
+    moved = signals()
+    moving = np.diff(moved.q[:, 0], prepend=moved.q[0, 0]) * V[:, 0] > 0
     coulomb, load, stribeck = (e.columns(moved)[moving] for e in plain)
     expected = np.hstack([coulomb, load, coulomb + stribeck])
     assert_allclose(bank.columns(moved)[moving], expected, atol=1e-12)
     assert effects.MaxwellSlip(0).contains == ("coulomb",)
 
 
-def test_zero_displacement_element_keeps_its_sign_near_rest():
-    z = elements(np.zeros(6), (0.0,), sign=np.array([0.4, 1.0, 0.6, -0.6, -1.0, 0.0]))
-    assert_array_equal(z[:, 0], [0.0, 1.0, 1.0, 1.0, -1.0, -1.0])
+def test_position_noise_at_rest_does_not_move_elements():
+    q = np.r_[0.0, 0.1, 0.2 + 1e-4 * np.sin(np.arange(40))]
+    zeros = np.zeros((q.size, 1))
+    rest = Rest(
+        speed=zeros[0], time=zeros[0], noise=zeros[0], play=np.full((2, 1), 1e-4)
+    )
+    motion = Motion(q=q[:, None], v=zeros, a=zeros, rest=rest)
+    z = effects.MaxwellSlip(0, displacements=(0.0, 1e-3)).columns(motion)
+    assert_array_equal(z[1:], 1.0)
 
 
 def test_only_selects_columns_of_the_bank():

@@ -121,7 +121,7 @@ def test_velocity_noise():
     estimator = StateEstimator(DT, cutoff=[20.0, None]).fit(q)
     error = (estimator.transform(q) - truth)[100:-100, 2:4]
     # Without a cut-off, the noise is nearly that of the ideal derivative.
-    noise_std = estimator.velocity_noise()
+    noise_std = estimator.noise(1)
     np.testing.assert_allclose(noise_std[0], error[:, 0].std(), rtol=0.1)
     np.testing.assert_allclose(noise_std[1], 1e-3 * np.pi / np.sqrt(3) / DT, rtol=0.05)
 

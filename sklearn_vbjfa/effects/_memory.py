@@ -50,22 +50,13 @@ def _compiled(function):
     return compiler(__file__)(function)
 
 
-def elements(
-    q,
-    displacements,
-    level=1.0,
-    falls=False,
-    creeps=False,
-    before=(),
-    widths=(0.0, 0.0),
-):
+def elements(q, d, level=1.0, falls=False, creeps=False, before=(), widths=(0, 0)):
     """Return states (n, k) of elements that slip at, or creep towards, a level."""
-    # level (n,): of the elements marked in `falls`, bool (k,); that of the others is 1.
-    # before: earlier positions of the joint, z is zero at the first one.
+    # d (k,): displacements; level (n,): of the elements marked in `falls`, bool (k,),
+    # that of the others is 1; before: earlier positions, z is zero at the first one;
     # widths: plays of elements without, and of those with a displacement.
-    d = np.asarray(displacements, dtype=float)
-    z = np.zeros((q.size, d.size))
-    path = np.append(before, q)
+    d = np.asarray(d, dtype=float)
+    z, path = np.zeros((q.size, d.size)), np.append(before, q)
     paths = np.column_stack([play(path, width) for width in widths])[len(before) :]
     if len(before):
         # At a constant level the states depend on the reversals alone.

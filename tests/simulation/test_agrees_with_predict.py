@@ -70,8 +70,9 @@ def test_inverse_dynamics_of_simulated_states(seed, nv):
     tau = 5 * np.sin(np.outer(t, rng.uniform(5, 20, nv)) + rng.uniform(0, 6, nv))
     states = simulate(robot, tau, rng.normal(size=nv), rng.normal(size=nv))
     v = states[:, nv : 2 * nv]
-    # After a reversal between two rows, the memory reversed there and not in a row.
-    moves = (np.abs(v) > 1e-2).all(axis=1)
+    # The first row shows no direction. After a reversal between two rows, the memory
+    # reversed there and not in a row.
+    moves = (np.abs(v) > 1e-2).all(axis=1) & (np.arange(len(t)) > 0)
     turned = np.abs(np.diff(np.sign(v), axis=0)).sum(axis=1) > 0
     moves[np.argmax(turned) + 1 if turned.any() else len(t) :] = False
     expected = inverse(robot, states, t)[moves]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 
 import numpy as np
-from sklearn.base import BaseEstimator, TransformerMixin, clone
+from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core._smoothing import contiguous_groups
@@ -184,6 +184,10 @@ class Effect(TransformerMixin, BaseEstimator):
     def first_shapes(self, motion):
         """Return those of `shapes` that a search compares with other effects."""
         return self.shapes(motion)
+
+    def forms(self):
+        """Return the effect in other forms, over which intervals are averaged."""
+        return []
 
     def applies(self, motion):
         """Return why the effect cannot be identified; empty if it can.
@@ -388,9 +392,6 @@ class Shaped(Effect):
         Shape parameters and their units.
     positive : tuple of str
         Those that must be greater than zero, or tuples of such.
-    averaged : tuple of (str, tuple)
-        One with few values, and these values, over which intervals are averaged; only
-        for effects with one coefficient.
     coarse : tuple of str
         Continuous ones, changes of which move the torque of single samples by steps.
     cyclic : tuple of str
@@ -404,16 +405,10 @@ class Shaped(Effect):
 
     shape_units: tuple = ()
     positive: tuple[str, ...] = ()
-    averaged: tuple = ()
     coarse: tuple[str, ...] = ()
     cyclic: tuple[str, ...] = ()
     choices: tuple = ()
     split_by: tuple[str, ...] = ()
-
-    def forms(self):
-        """Return the effect with each value of the `averaged` parameter, a list."""
-        name, values = self.averaged or ("", ())
-        return [clone(self).set_params(**{name: value}) for value in values]
 
     def check(self):
         """Raise ValueError for bad choices and shape parameters out of range, too."""

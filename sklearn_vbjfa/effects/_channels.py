@@ -60,9 +60,7 @@ class OfChannel(Shaped, Converted, Stateful):
     # Cut-off frequency of a filter [Hz]; None for other effects.
     corner: float | None = None
 
-    @property
-    def _time(self):
-        return getattr(self, self.continuous[0])
+    _time = property(lambda self: getattr(self, self.continuous[0]))
 
     def change(self, torque, t):
         """Return the change of torques (n,) at times t (n,) by the channel."""
@@ -188,9 +186,7 @@ class TorqueFilter(OfChannel):
         self.of = of
         self.time_constant = time_constant
 
-    @property
-    def corner(self):
-        return _FILTERS[self.kind][1] / self.time_constant
+    corner = property(lambda self: _FILTERS[self.kind][1] / self.time_constant)
 
     def natural(self, coef):
         # The gain of a filter is at most 1 at all frequencies.

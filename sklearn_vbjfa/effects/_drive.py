@@ -35,9 +35,7 @@ class ToAnother(Shaped):
         super().__init__(joint)
         self.other = other
 
-    @property
-    def joints(self):
-        return self.joint, self.other
+    joints = property(lambda self: (self.joint, self.other))
 
     @classmethod
     def describe(cls, shape, joint_label):
@@ -92,9 +90,7 @@ class Coupling(ToAnother):
         super().__init__(joint, other)
         self.ratio = ratio
 
-    @property
-    def continuous(self):
-        return () if self.ratio in _PLAIN else ("ratio",)
+    continuous = property(lambda self: () if self.ratio in _PLAIN else ("ratio",))
 
     # Without dry friction, the ratio has no effect.
     simple = property(lambda self: self.ratio == 0)

@@ -1,5 +1,7 @@
 """Declared terms of joints, and friction as a function of velocity and load."""
 
+from sklearn.base import clone
+
 from sklearn_vbjfa.effects._base import (
     INERTIA,
     RATIO,
@@ -161,7 +163,6 @@ class Stribeck(Shaped):
     continuous = positive = ("vs",)
     tuned = ("vs", "k")
     shape_units = (("vs", SPEED), ("k", RATIO))
-    averaged = ("k", (1, 2))
     depends = ("direction",)
     record = "slow motion without standing still, and fast motion"
     terms = (("stribeck", "Fs", "vs", "k"),)
@@ -180,6 +181,9 @@ class Stribeck(Shaped):
             return (exp(-(abs(v / vs) ** k)) * sign(v, state.a[j]),)
 
         return torque
+
+    def forms(self):
+        return [clone(self).set_params(k=k) for k in (1, 2)]
 
     def shapes(self, motion):
         """Stribeck speeds up to 0.6 of the joint's largest speed, both exponents."""

@@ -118,9 +118,7 @@ class InModel(Effect):
         """Return the smallest and largest values, two ndarrays (k,)."""
         return np.subtract(self.nominal, self.limit), np.add(self.nominal, self.limit)
 
-    @property
-    def tuned(self):
-        return self.coefficients
+    tuned = property(lambda self: self.coefficients)
 
     def natural(self, coef):
         """Whether the corrected values are within `bounds`."""

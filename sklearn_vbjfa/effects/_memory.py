@@ -5,6 +5,7 @@ import math
 from numbers import Real
 
 import numpy as np
+from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.effects._base import (
@@ -27,6 +28,10 @@ _WIDTHS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
 _COUNT, _SMALLEST, _LARGEST = 13, 3e-5, 0.125
 # Stribeck speeds of a bank to try, as shares of the joint's largest speed.
 _SPEEDS = (0.04, 0.08, 0.16, 0.32)
+# Step of a finer bank [log]; factors on the speed, and shifts of the displacements in
+# such steps, over which intervals are averaged.
+_REFINED = math.log(_LARGEST / _SMALLEST) / (3 * (_COUNT - 1))
+_FACTORS, _SHIFTS = 2.0 ** np.linspace(-1.0, 1.0, 7), (0.0, 1 / 3, 2 / 3)
 # Banks of elements, with symbols and units of their sizes.
 _BANKS = {
     "displacements": ("F", TORQUE),
@@ -165,6 +170,8 @@ class MaxwellSlip(Shaped, Converted, Bank):
     positive = ("vs",)
     tuned = (*_BANKS, "vs", "element")
     choices = (("element", ("stop", "bristle")),)
+    # Standard deviation of the logarithm of a displacement between two shifts.
+    spacing = _REFINED * (_SHIFTS[1] - _SHIFTS[0]) / math.sqrt(12.0)
     record = "many reversals, after short and long moves"
     files = InFiles(
         parameter="coulomb",
@@ -188,13 +195,8 @@ class MaxwellSlip(Shaped, Converted, Bank):
         self.vs = vs
         self.element = element
 
-    @property
-    def _creeps(self):
-        return self.element == "bristle"
-
-    @property
-    def _banks(self):
-        return tuple(getattr(self, name) for name in _BANKS)
+    _creeps = property(lambda self: self.element == "bristle")
+    _banks = property(lambda self: tuple(getattr(self, name) for name in _BANKS))
 
     @property
     def coefficients(self):
@@ -214,17 +216,9 @@ class MaxwellSlip(Shaped, Converted, Bank):
         pairs = zip(_BANKS.values(), self._banks)
         return tuple(unit for (_, unit), bank in pairs for _ in bank)
 
-    @property
-    def continuous(self):
-        return ("vs",) if self.falling else ()
-
-    @property
-    def needs(self):
-        return ("load",) if self.loaded else ()
-
-    @property
-    def depends(self):
-        return ("direction", *self.needs)
+    continuous = property(lambda self: ("vs",) if self.falling else ())
+    needs = property(lambda self: ("load",) if self.loaded else ())
+    depends = property(lambda self: ("direction", *self.needs))
 
     def shape(self):
         shape = super().shape()
@@ -346,9 +340,15 @@ class MaxwellSlip(Shaped, Converted, Bank):
         pairs = zip(self._banks, self._split(used))
         return self._of_banks(np.asarray(bank)[mask] for bank, mask in pairs)
 
-    def finer(self):
+    def forms(self):
+        """Return the effect with other displacements and Stribeck speeds, a list."""
+        speeds = self.vs * _FACTORS if self.falling else [self.vs]
+        banks = [self.finer(shift) for shift in _SHIFTS]
+        return [clone(x).set_params(vs=float(vs)) for x in banks for vs in speeds]
+
+    def finer(self, shift=0.0):
         """Return the effect with further elements around each element."""
-        steps = (_LARGEST / _SMALLEST) ** (np.arange(-2, 3) / (3 * (_COUNT - 1)))
+        steps = np.exp(_REFINED * (np.arange(-2, 3) + shift))
         return self._of_banks(
             np.unique(np.outer(bank, steps).round(12)) for bank in self._banks
         )
@@ -395,11 +395,8 @@ class MaxwellSlip(Shaped, Converted, Bank):
             middle, increases = 0.5 * (curve[0] + curve[-1]), curve[-1] > curve[0]
             half = np.interp(middle, curve, ends) if increases else 0.0
             values |= {"Fc": float(constant.sum() + falling.sum()), "half": float(half)}
-        if loaded.size:
-            values["mu"] = float(loaded.sum())
-        if falling.size:
-            values["Fs"] = float(falling.sum())
-        return values
+        sums = {"mu": loaded, "Fs": falling}
+        return values | {key: float(x.sum()) for key, x in sums.items() if x.size}
 
 
 class Backlash(Shaped, Stateful):

@@ -132,9 +132,7 @@ class Motion:
         if self.prismatic is None:
             object.__setattr__(self, "prismatic", np.zeros(self.q.shape[1], bool))
 
-    @property
-    def n_joints(self):
-        return self.q.shape[1]
+    n_joints = property(lambda self: self.q.shape[1])
 
     @property
     def later(self):

@@ -109,13 +109,8 @@ class Counterbalance(Shaped):
             return (("linkage", "Fr", "krL", "ratio", "angle"),)
         return (("harmonics", "a", "b", "c", "d"), ("constant", "e"))
 
-    @property
-    def units(self):
-        return (TORQUE,) * len(self.coefficients)
-
-    @property
-    def continuous(self):
-        return ("ratio", "angle") if self.form == "linkage" else ()
+    units = property(lambda self: (TORQUE,) * len(self.coefficients))
+    continuous = property(lambda self: ("ratio", "angle") * (self.form == "linkage"))
 
     def check(self):
         super().check()

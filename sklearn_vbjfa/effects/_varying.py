@@ -101,9 +101,7 @@ class Drift(Varied, OfTime):
         if not -np.inf < self.begin < self.end:
             raise ValueError(f"begin must be below end; got {self.begin}, {self.end}.")
 
-    @property
-    def units(self):
-        return (_VARIED[self.of],)
+    units = property(lambda self: (_VARIED[self.of],))
 
     def _factor(self, maths):
         exp, constant, begin = maths.exp, self.time_constant, self.begin
@@ -173,9 +171,7 @@ class Signal(Varied, OfSignals):
         """Whether the torque is proportional to the signal alone."""
         return self.of == "offset"
 
-    @property
-    def recorded(self):
-        return (self.signal,) if self.signal else ()
+    recorded = property(lambda self: (self.signal,) if self.signal else ())
 
     def applies(self, motion):
         if not self.signal:
@@ -251,13 +247,12 @@ class Payload(Sudden, OnAllJoints):
 
     def columns(self, motion):
         carried = sum(sign * (motion.t >= t) for t, sign in self.changes)
-        columns = motion.end_bodies[self.joint]()
-        columns = columns @ _jacobian(np.asarray(self.centre, dtype=float))
+        columns = motion.end_bodies[self.joint]() @ _jacobian(self.centre)
         return columns * carried[:, None, None]
 
     def inertial(self, coef):
         """Return the changes (10,) of the body's inertial parameters."""
-        return _jacobian(np.asarray(self.centre, dtype=float)) @ np.asarray(coef)
+        return _jacobian(self.centre) @ np.asarray(coef)
 
     def simulated(self, table, *coef):
         for t, sign in self.changes:
@@ -289,8 +284,7 @@ def _jacobian(c):
     """Inertial parameters (10, 5) by mass, first moments and inertia of a ball."""
     # The inertia (s's 1 - s s') / m of a point is homogeneous in mass m and moments
     # s, so that its tangent at s = m c passes through zero.
-    eye = np.eye(3)
-    out = np.zeros((10, 5))
+    c, eye, out = np.asarray(c, dtype=float), np.eye(3), np.zeros((10, 5))
     out[:4, :4] = np.eye(4)
     slopes = [np.outer(c, c) - (c @ c) * eye]
     slopes += [2 * x * eye - np.outer(e, c) - np.outer(c, e) for x, e in zip(c, eye)]

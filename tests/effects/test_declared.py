@@ -13,16 +13,11 @@ Q, V, A = np.split(X, 3, axis=1)
 REST = Rest(speed=np.array([0.3, 0.1]), time=np.full(2, 0.1), noise=np.full(2, 0.01))
 
 
-def test_four_effects_can_be_declared():
-    names = ("viscous", "coulomb", "offset", "rotor_inertia")
-    assert effects.declarable() == names
-    assert [effects.declared(name).name for name in names] == list(names)
-
-
 @pytest.mark.parametrize("rest", [None, REST])
 @pytest.mark.parametrize("joint", [0, 1])
 def test_declared_columns_equal_the_effects_columns(joint, rest):
     names = effects.declarable()
+    assert names == ("viscous", "coulomb", "offset", "rotor_inertia")
     columns = effects.declared_columns(names, V, A, rest)
     assert columns.shape == (*V.shape, len(names))
     signals = Motion(q=Q, v=V, a=A, rest=rest)

@@ -79,21 +79,18 @@ def test_coefficients_units_and_columns_agree(name):
     assert k == len(effect.units) == len(set(effect.coefficients))
     assert all(len(pair) == 2 for pair in effect.units)
     columns = effect.columns(signals())
-    assert columns.shape == (
-        (T.size, 2, k) if isinstance(effect, effects.OnAllJoints) else (T.size, k)
-    )
+    joints = (2,) * isinstance(effect, effects.OnAllJoints)
+    assert columns.shape == (T.size, *joints, k)
     assert np.isfinite(columns).all()
-    assert list(effect.get_feature_names_out()) == [
-        f"joint {effect.joint + 1}:{name}:{c}" for c in effect.coefficients
-    ]
+    names = [f"joint {effect.joint + 1}:{name}:{c}" for c in effect.coefficients]
+    assert list(effect.get_feature_names_out()) == names
     assert set(effect.continuous) <= set(effect.get_params())
     assert effect.record
 
 
 def applies_to_prismatic(name):
     """Return whether an effect applies to a prismatic joint."""
-    reason = library_effect(name).applies(signals((True, True)))
-    return "prismatic" not in reason
+    return "prismatic" not in library_effect(name).applies(signals((True, True)))
 
 
 @pytest.mark.parametrize("prismatic", [False, True])

@@ -45,6 +45,13 @@ def test_friction_is_found_with_coarse_encoders():
     assert 2.5 < low < 3.04 < high < 3.5
 
 
+def test_a_displacement_between_two_elements_is_in_its_interval():
+    slips = 2.0 * stops_sample_by_sample(Q[:, 0], 0.02)[:, None]
+    (effect,) = search(Q, LOAD + 0.5 * V + slips + NOISE, "maxwell_slip").effects_
+    low, high = effect.intervals["half"]
+    assert low < 0.01 < high < 1.1 * low
+
+
 def test_a_joint_that_never_reverses_shows_no_memory():
     q = 0.3 * T[:, None] - 0.1 * np.cos(T)[:, None]
     v = np.gradient(q, 0.02, axis=0)

@@ -8,12 +8,14 @@ from scipy import special
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._posterior import Evidence
-from sklearn_vbjfa.effects import InModel, OfChannel, OfRobot, Shaped, closure
+from sklearn_vbjfa.effects import Bank, InModel, OfChannel, OfRobot, Shaped, closure
 
 # Warnings on effects whose values are too uncertain for them to be reported.
 _UNKNOWN = "its size is not significantly different from zero"
 # Rounding error of a parameter (relative, or of zero), largest logarithm of a width.
 _ROUNDING, _MAX_LOG = 1e-10, 99.0
+# Range of position noise over its deviation, in which presliding is not resolved.
+_RESOLVED = 6.0
 _UNSURE = "its value is not known well enough to correct anything"
 _DIFFERING = "the recordings contradict each other on this joint"
 _RISING = "the held-out error rose"
@@ -54,8 +56,7 @@ class DiscoveredEffect:
         """Probability that the declared model lacked it."""
         # Posterior, or the probability that it lowers the error of held-out folds, if
         # that is smaller; see `Evidence`.
-        most = _POSSIBLE if self.warning else 1.0
-        return min(self.evidence.probability, most)
+        return min(self.evidence.probability, _POSSIBLE if self.warning else 1.0)
 
     @property
     def is_determined(self):
@@ -64,7 +65,8 @@ class DiscoveredEffect:
         both = self.intervals, self.intervals_given_shape
         pairs = ([ends[k] for k in _sizes(self.units) & ends.keys()] for ends in both)
         known, given_shape = (any(low * high > 0 for low, high in x) for x in pairs)
-        return known or not given_shape
+        searched = self.effect is None or self.effect.shape()
+        return known or not given_shape or not searched
 
 
 def _sizes(units):
@@ -85,7 +87,6 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising, h
         unknown = [key for key, std in deviations.items() if math.isnan(std)]
         values |= {k: math.nan for k in unknown if abs(values[k]) < _ROUNDING}
         deviations = {key: std for key, std in deviations.items() if std > 0}
-        half = float(special.stdtrit(estimate.freedom, 0.95))
         given_shape = named_values(effect, estimate.given_shape())
         units = effect.parameter_units(prismatic[effect.joint])
         warning = finding.warning
@@ -117,8 +118,8 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising, h
             scope="robot" if isinstance(effect, OfRobot) else "joint",
             parameters=values,
             units={key: units.get(key, "") for key in values},
-            intervals=_intervals(effect, values, deviations, half),
-            intervals_given_shape=_intervals(effect, *given_shape, half),
+            intervals=_intervals(effect, estimate, values, deviations),
+            intervals_given_shape=_intervals(effect, estimate, *given_shape),
             evidence=finding.evidence,
             rivals=tuple(dict.fromkeys(_rival_name(r, effect, names) for r in rivals)),
             trials=tuple(
@@ -129,9 +130,10 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising, h
         )
 
 
-def _intervals(effect, values, deviations, half):
+def _intervals(effect, estimate, values, deviations):
     """Return the intervals of parameters, from their standard deviations."""
-    intervals = {}
+    half, intervals = float(special.stdtrit(estimate.freedom, 0.95)), {}
+    resolved = _RESOLVED * estimate.position_noise
     for key, std in deviations.items():
         value, width = values[key], half * std
         if width > 0:
@@ -140,6 +142,8 @@ def _intervals(effect, values, deviations, half):
                 # On the logarithm, so that the interval is positive.
                 factor = math.exp(min(width / value, _MAX_LOG))
                 intervals[key] = value / factor, value * factor
+            if key == "half" and value < resolved:
+                intervals[key] = 0.0, max(value + width, resolved)
     return intervals
 
 
@@ -158,9 +162,8 @@ def _rival_name(rival, effect, names):
     name = rival.name
     for kind in rival.split_by[:1] if isinstance(rival, Shaped) else ():
         name += f": {getattr(rival, kind)}"
-    if rival.joint == effect.joint or isinstance(rival, OfRobot):
-        return name
-    return f"{name} on {names[rival.joint]}"
+    here = rival.joint == effect.joint or isinstance(rival, OfRobot)
+    return name if here else f"{name} on {names[rival.joint]}"
 
 
 def named_values(effect, estimate):
@@ -193,4 +196,7 @@ def named_values(effect, estimate):
         for key, value in parameters.items():
             deviation = np.sqrt(weight) * (value - values[key])
             deviations[key] = float(np.hypot(deviations[key], deviation))
+    if isinstance(effect, Bank) and "half" in values:
+        between = effect.spacing * values["half"]
+        deviations["half"] = float(np.hypot(deviations["half"], between))
     return values | {k: values.get(k, x) for k, x in effect.shape().items()}, deviations

@@ -8,13 +8,14 @@ import numpy as np
 from scipy import special
 from sklearn.base import clone
 
+from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import (
     block_variance,
     branches,
     or_one,
     scaled_eigen,
 )
-from sklearn_vbjfa.effects import Bank, Shaped
+from sklearn_vbjfa.effects import Bank
 from sklearn_vbjfa.equations._equations import excluded_columns
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 
@@ -36,8 +37,9 @@ class EffectEstimate:
     # (k, k): further covariance of the coefficients, of directions that only a prior
     # determines; nan on the diagonal if nothing does
     of_prior: np.ndarray | float = 0.0
-    # probabilities and parameters of other forms of the effect, see `Shaped.averaged`
+    # probabilities and parameters of other forms of the effect, see `Effect.forms`
     forms: tuple = ()
+    position_noise: float = np.nan  # standard deviation [rad or m]; nan if unknown
 
     def given_shape(self):
         """Return the estimate of the coefficients, conditional on the shape."""
@@ -47,7 +49,9 @@ class EffectEstimate:
         cross = rows[:, k:][:, finite]
         explained = cross @ np.linalg.pinv(shape[np.ix_(finite, finite)]) @ cross.T
         covariance = rows[:, :k] - explained
-        return replace(self, shape=(), covariance=covariance, of_prior=0.0, forms=())
+        # What nothing determines is unknown for any shape.
+        prior = 0.0 * self.of_prior
+        return replace(self, shape=(), covariance=covariance, of_prior=prior, forms=())
 
 
 class FinalFit:
@@ -102,10 +106,7 @@ class FinalFit:
         if not self.effects:
             return []
         coefs = self._effect_coefs(self.identifier.theta_)
-        shapes = [
-            tuple(n for n in effect.continuous if getattr(effect, n))
-            for effect in self.effects
-        ]
+        shapes = [tuple(n for n in e.continuous if getattr(e, n)) for e in self.effects]
         extra = []
         for effect, Phi, coef, shape in zip(self.effects, self._columns, coefs, shapes):
             # Elements at their bound of zero do not exist.
@@ -117,6 +118,8 @@ class FinalFit:
         covariance = self.share * variance.scores.T @ variance.scores
         edges = np.cumsum([self.view.Z.shape[2], *(x.shape[2] for x in extra)])
         of_prior, at = self._prior_covariance(), self.declared.theta_.size
+        estimator = self.identifier.robot_.plan.state_estimator
+        noise = np.sqrt(getattr(estimator, "noise_variance_", np.zeros(self.view.nv)))
         estimates = []
         for i, (a, b) in enumerate(itertools.pairwise(edges)):
             # Degrees of freedom of columns that are not excited are nan.
@@ -128,6 +131,7 @@ class FinalFit:
                 covariance=covariance[a:b, a:b],
                 freedom=float(freedom),
                 of_prior=of_prior[block, block],
+                position_noise=noise[self.effects[i].joint],
             )
             estimates.append(replace(estimate, forms=self._forms(i, estimate)))
         return estimates
@@ -153,7 +157,7 @@ class FinalFit:
         return (((above - below) @ coef) / step)[:, :, None]
 
     def _scaled_residual(self):
-        """Return standardised residuals (m, nv), and the factor of each joint (nv,)."""
+        """Return standardised residuals (m, nv), factors (nv,) and coefficients."""
         # Without bounds, nearly collinear elements of a bank cancel each other.
         bounded = any(isinstance(effect, Bank) for effect in self.effects)
         robot, view = self.identifier, self.view
@@ -161,7 +165,7 @@ class FinalFit:
         residual = (view.equations.tau - self.predicted(theta)) * view.root
         count, squares = view.equations.weight.sum(axis=0), (residual**2).sum(axis=0)
         factor = np.sqrt(np.where(squares > 0, count / or_one(squares), 0.0))
-        return residual * factor, factor
+        return residual * factor, factor, self._effect_coefs(theta)
 
     def _branches(self, extra, factor):
         """Yield joints with common columns, these, and their scaled rows (m, nj, k)."""
@@ -176,7 +180,7 @@ class FinalFit:
 
     def _block_variance(self, extra):
         """Estimate the variance from blocks, for columns (m, nv, q) of effects."""
-        residual, factor = self._scaled_residual()
+        residual, factor, _ = self._scaled_residual()
         keys, label = _blocks(self.view)
         parts, n = [], self.view.Z.shape[2] + extra.shape[2]
         scores = np.zeros((len(keys), n))
@@ -190,47 +194,59 @@ class FinalFit:
             parts.append((columns, grams))
         return block_variance(parts, scores, keys)
 
+    @functools.cached_property
+    def _coupled(self):
+        """Joints with common columns, these, scaled rows and Gram matrix, a list."""
+        extra, coupled = np.concatenate(self._columns, axis=2), []
+        for *names, rows in self._branches(extra, self._scaled_residual()[1]):
+            flat = rows.reshape(-1, rows.shape[2])
+            coupled.append((*names, rows, flat.T @ flat))
+        return coupled
+
     def _forms(self, i, estimate):
-        """Return probabilities and parameters of other forms of a one-column effect."""
+        """Return probabilities and parameters of other forms of an effect."""
         effect = self.effects[i]
-        forms = effect.forms() if isinstance(effect, Shaped) else []
-        forms = [form for form in forms if form.shape() != effect.shape()]
-        if not forms:
-            return ()
-        (name,), j = effect.continuous, effect.joint
-        trials = [
-            clone(form).set_params(**{name: factor * getattr(form, name)})
-            for form in forms
-            for factor in _SHAPE_FACTORS
-        ]
-        y, factor = self._scaled_residual()
-        others = [columns for k, columns in enumerate(self._columns) if k != i]
-        others.append(np.zeros((*y.shape, 0)))
-        coupled = self._branches(np.concatenate(others, axis=2), factor)
-        coupled = [(joints, base) for joints, _, base in coupled if j in joints]
+        forms = [x for x in effect.forms() if x.shape() != effect.shape()]
+        j, names, bank = effect.joint, effect.continuous, isinstance(effect, Bank)
+        coupled = [x for x in self._coupled if j in x[0]] if forms else ()
         if not coupled:
             return ()
-        ((joints, base),) = coupled
-        tested = [self._columns[i], *(self.in_equations(form) for form in trials)]
-        C = np.hstack([x[:, j] for x in tested]) * (factor * self.view.root)[:, [j]]
-        y[:, j] += C[:, 0] * self._effect_coefs(self.identifier.theta_unconstrained_)[i]
-        # Partial Gram matrix (diagonal) and cross product, given the other columns.
-        flat = base.reshape(-1, base.shape[2])
-        root = scaled_eigen(flat.T @ flat, _RANK).inverse_root()
-        cross = root.T @ (base[:, np.searchsorted(joints, j)].T @ C)
-        H = (C**2).sum(axis=0) - (cross**2).sum(axis=0)
-        q = C.T @ y[:, j] - cross.T @ (root.T @ (flat.T @ y[:, joints].ravel()))
-        # Log evidence is divided by the overdispersion of the blocks.
-        variance = estimate.given_shape().covariance[0, 0]
-        gain = 0.5 * q**2 / H / max(1.0, variance * H[0])
-        parameters, weights = [], [0.0]
-        for at in range(1, len(gain), len(_SHAPE_FACTORS)):
-            best = at + int(np.argmax(gain[at : at + len(_SHAPE_FACTORS)]))
-            form = trials[best - 1]
-            shape = {name: getattr(form, name)}
-            parameters.append(form.parameters([q[best] / H[best]]) | shape)
-            weights.append(gain[best] - gain[0])
-        return tuple(zip(special.softmax(weights)[1:].tolist(), parameters))
+        y, factor, coefs = self._scaled_residual()
+        ((joints, columns, rows, gram),) = coupled
+        start = self.view.Z.shape[2] + sum(len(x) for x in coefs[:i])
+        kept = (columns < start) | (columns >= start + len(coefs[i]))
+        scale = (factor * self.view.root)[:, [j]]
+        y[:, [j]] += scale * (self._columns[i][:, j] @ coefs[i][:, None])
+        root = scaled_eigen(gram[np.ix_(kept, kept)], _RANK).inverse_root()
+        inside = root.T @ rows[:, np.searchsorted(joints, j)][:, kept].T
+        target = root.T @ np.einsum("mjk,mj->k", rows, y[:, joints])[kept]
+
+        def moments(effect):
+            # Partial second moments, given the other columns.
+            C = self.in_equations(effect)[:, j] * scale
+            cross, unit = inside @ C, np.ones((1, C.shape[1]))
+            H, q = C.T @ C - cross.T @ cross, C.T @ y[:, j] - cross.T @ target
+            own = np.diagonal(H)[None] + (cross**2).sum(axis=0)
+            return Groups(H=H[None], q=q[None], own=own, unit=unit, positive=bank)
+
+        given, variance = moments(effect), estimate.given_shape().covariance
+        parameters, gains = [], [given.gain()]
+        for form in forms:
+            factors = (1.0,) if bank else _SHAPE_FACTORS
+            values = [{n: x * getattr(form, n) for n in names} for x in factors]
+            trials = [clone(form).set_params(**shape) for shape in values]
+            fits = zip(map(moments, trials), values, trials)
+            best, shape, form = max(fits, key=lambda fit: fit[0].gain())
+            parameters.append(form.parameters(best.coefficients()[0]) | shape)
+            gains.append(best.gain())
+        # Log evidence is divided by the overdispersion of the blocks, or by that which
+        # the effect lacks to the noise floor: its law is an approximation.
+        excess = (variance * given.H[0]).sum() / max((variance.diagonal() > 0).sum(), 1)
+        robot, count = self.identifier, self.view.equations.weight[:, j].sum()
+        share = robot.noise_floor_[j] / or_one(robot.output_noise_[j])
+        lack = 0.5 * count * (1.0 - share**2)
+        gains = 0.5 * np.concatenate(gains) / np.fmax.reduce([1.0, excess, lack])
+        return tuple(zip(special.softmax(gains)[1:].tolist(), parameters))
 
 
 def _blocks(view):

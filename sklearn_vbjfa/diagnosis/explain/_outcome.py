@@ -262,9 +262,8 @@ def parameter_values(robot):
         # Unknown gains of the torque channels scale all values.
         bodies = nominal_parameters(features.nominal_), nominal_followers(features)
         nominal[body_indices(robot)] = np.vstack(bodies)
-    half = HALF_WIDTH * np.where(
-        np.isfinite(robot.theta_std_), robot.theta_std_, np.nan
-    )
+    std = robot.theta_std_
+    half = HALF_WIDTH * np.where(np.isfinite(std), std, np.nan)
     # The longest match, since names may contain colons.
     owners = ([j for j, x in enumerate(joints) if n.startswith(f"{x}:")] for n in names)
     columns = {

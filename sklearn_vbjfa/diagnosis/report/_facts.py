@@ -87,8 +87,7 @@ def motion_plan(outcome, joints):
     limits, motion = outcome.robot.get("limits"), outcome.robot["motion"]
     rows = []
     for j in sorted(set(joints)) if motion and limits is not None else ():
-        recorded, (low, high, fastest) = motion[j], limits[j]
-        ends = low, high
+        recorded, (*ends, fastest) = motion[j], limits[j]
         if not np.isfinite(ends).all():
             ends = recorded.lowest, recorded.highest
         fastest = fastest if math.isfinite(fastest) else recorded.fastest
@@ -114,8 +113,7 @@ def unexplained_groups(outcome):
 
 def to_record(outcome, status, signal_advice, no_period):
     """Return what to record next, most important first, a dict advice -> joints."""
-    findings, wanted = outcome.findings, {}
-    library = outcome.robot["library"]
+    findings, wanted, library = outcome.findings, {}, outcome.robot["library"]
     if status == "faulty" or not outcome.searched or findings["contradictions"]:
         return {}  # no open questions that another motion would answer
 

@@ -79,11 +79,10 @@ class Verdict:
 
 def judge(outcome):
     findings, names = outcome.findings, outcome.robot["joints"]
+    labels = (words.joint_label(names, j) for j in range(len(outcome.errors)))
     joints = tuple(
-        JointVerdict(
-            joint=j, label=words.joint_label(names, j), **_joint_status(outcome, j)
-        )
-        for j in range(len(outcome.errors))
+        JointVerdict(joint=j, label=label, **_joint_status(outcome, j))
+        for j, label in enumerate(labels)
     )
     faults = tuple(
         channel.message

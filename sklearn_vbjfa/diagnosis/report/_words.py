@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from sklearn_vbjfa.effects import OfRobot
+from sklearn_vbjfa.effects import Bank, OfRobot
 
 _MIN_P = 1e-12
 # Logarithm of the odds of a million to one.
@@ -18,14 +18,11 @@ _SKEWED = 0.1
 def joint_label(names, joint):
     """Return the name of a joint for a sentence, or its number, counted from 1."""
     name = " ".join(names[joint].split()) if joint < len(names) else ""
-    if not name or name.isdigit():
-        return f"joint {joint + 1}"
     counted = re.fullmatch(r"joint[ _]?(\d+)", name)
-    if counted and int(counted[1]) == joint + 1:
+    if not name or name.isdigit() or (counted and int(counted[1]) == joint + 1):
         return f"joint {joint + 1}"
-    if re.search("joint|axis", name, re.IGNORECASE):
-        return name
-    return f"joint {joint + 1} ({name})"
+    labelled = re.search("joint|axis", name, re.IGNORECASE)
+    return name if labelled else f"joint {joint + 1} ({name})"
 
 
 def joint_list(names, joints, most=3):
@@ -132,6 +129,8 @@ def with_error(value, interval=None, unit=""):
     half = 0.5 * (interval[1] - interval[0]) if finite else 0.0
     if not half > 0:
         return number(value) + unit
+    if interval[0] == 0:
+        return f"< {number(interval[1], 2)}{unit}"
     if interval[0] > 0 and abs(0.5 * sum(interval) - value) > _SKEWED * half:
         return f"{number(value)} ({' to '.join(number(x, 2) for x in interval)}){unit}"
     size = math.floor(math.log10(half))
@@ -150,15 +149,25 @@ def with_error(value, interval=None, unit=""):
 
 def parameter_text(effect):
     """Return "Fc = 1.2 +- 0.1 N m" for each scalar parameter."""
-    texts, determined = [], effect.is_determined
+    texts, hidden, determined = [], [], effect.is_determined
     intervals = effect.intervals if determined else effect.intervals_given_shape
+    shape = effect.parameters if effect.effect is None else effect.effect.shape()
+    omitted = {"of", "other", "signal"}
+    if isinstance(effect.effect, Bank):
+        # Elements that may be absent, and the Stribeck speed without any that fall.
+        omitted |= {key for key, (low, high) in intervals.items() if low < 0 < high}
+        omitted |= {"vs"} if "Fs" in omitted else set()
     for key, value in effect.parameters.items():
-        if key in ("of", "other", "signal") or isinstance(value, tuple):
+        if key in omitted or isinstance(value, tuple):
+            continue
+        if value != value or not (key in intervals or key in shape):
+            hidden.append(key)
             continue
         # Ratios are written without a unit.
         unit = effect.units.get(key, "").removeprefix("1")
-        text = f"{key} = {with_error(value, intervals.get(key), unit)}"
-        texts.append(text if value == value else f"{key} not identifiable")
+        text = with_error(value, intervals.get(key), unit)
+        texts.append(f"{key} {'' if text.startswith('<') else '= '}{text}")
+    texts += [f"{join(hidden)} not identifiable"] * bool(hidden)
     if effect.effect is not None and effect.effect.constant:
         texts.append("torque offset included")
     if not determined:

@@ -66,6 +66,7 @@ def test_coverage_of_error_intervals(seconds, rho, share):
         searched = residuals(rng, 3 * seconds, **settings)
         held_out = residuals(rng, seconds, **settings)
         interval = intervals_of(searched, held_out)["after"]
+        assert_allclose(interval[0] * interval[1], held_out.relative_error(SPREAD) ** 2)
         error = residuals(rng, NEXT_SECONDS, **settings).relative_error(SPREAD)
         inside.append((interval[0] < error) & (error < interval[1]))
     # 600 intervals: the standard deviation of the coverage is 1.2 %.
@@ -113,15 +114,6 @@ def test_error_intervals_use_the_order_in_time():
     )
     assert_allclose(ends, same, rtol=1e-9)
     assert np.all(np.log(ends[1] / ends[0]) > 1.5 * np.log(wrong[1] / wrong[0]))
-
-
-def test_intervals_contain_the_errors():
-    rng = np.random.default_rng(0)
-    searched, held_out = residuals(rng, 60.0), residuals(rng, 20.0)
-    low, high = intervals_of(searched, held_out)["after"]
-    error = held_out.relative_error(SPREAD)
-    assert np.all((low < error) & (error < high))
-    assert_allclose(low * high, error**2)
 
 
 # -- effects found by EffectDiscovery
@@ -262,12 +254,13 @@ def test_derived_value_of_an_undetermined_coefficient():
     effect, found = Spring(), []
     for of_prior in (0.0, np.diag([0.0, 0.6]) ** 2, np.diag([0.0, np.nan])):
         estimate = EffectEstimate(**keywords, of_prior=of_prior)
-        found.append(named_values(effect, estimate)[1])
-        conditional = named_values(effect, estimate.given_shape())[1]
-        assert conditional == named_values(effect, EffectEstimate(**keywords))[1]
+        found += (
+            named_values(effect, x)[1] for x in (estimate, estimate.given_shape())
+        )
     assert_allclose([one["k"] for one in found], 0.1, rtol=1e-6)
-    expected = [np.hypot(0.1 * 0.5, c) / 4.0 for c in (0.2, np.hypot(0.2, 0.6))]
-    assert_allclose([one["q0"] for one in found], [*expected, np.nan], rtol=1e-6)
+    alone, both = (np.hypot(0.1 * 0.5, c) / 4.0 for c in (0.2, np.hypot(0.2, 0.6)))
+    expected = [alone, alone, both, alone, np.nan, np.nan]
+    assert_allclose([one["q0"] for one in found], expected, rtol=1e-6)
 
 
 def test_alternative_forms_widen_intervals():
@@ -295,10 +288,11 @@ def test_a_fixed_shape_narrows_coefficient_intervals(identifiable):
     assert_allclose(stds["Fs"], expected, rtol=1e-6)
 
 
-def discovered(effect, rising=0.0, hidden=(), library=(), coef=(0.5,)):
+def discovered(effect, rising=0.0, hidden=(), library=(), coef=(0.5,), noise=np.nan):
     """Discover an effect whose parameters have a standard deviation of 0.1."""
     shape = getattr(effect, "continuous", ())
-    keywords = {"covariance": 0.01 * np.eye(len(coef) + len(shape)), "freedom": 30.0}
+    covariance = 0.01 * np.eye(len(coef) + len(shape))
+    keywords = {"covariance": covariance, "freedom": 30.0, "position_noise": noise}
     estimate = EffectEstimate(coef=np.array(coef), shape=shape, **keywords)
     found = SimpleNamespace(warning="", rivals=(), evidence=None)
     search = SimpleNamespace(findings=[found], library=library)
@@ -315,6 +309,14 @@ def test_positive_shapes_have_positive_intervals_and_a_rise_is_a_warning():
         assert low * high == pytest.approx(0.05**2)
         assert ("rose" in effect.warning) == bool(rising)
     assert any(" to " in text for text in parameter_text(effect))
+
+
+def test_absent_elements_and_unresolved_presliding_are_not_printed():
+    bank = effects.MaxwellSlip(displacements=(0.0, 1e-4), falling=(0.01,))
+    for noise, half in ((1e-6, "half = "), (1e-4, "half < 0.0006 rad")):
+        texts = parameter_text(discovered(bank, coef=(1.0, 1.0, 0.05), noise=noise))
+        assert [text.split()[0] for text in texts] == ["Fc", "half", "element"]
+        assert texts[1].startswith(half)
 
 
 def test_an_unexcited_effect_that_contains_another_is_its_rival():

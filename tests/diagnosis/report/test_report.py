@@ -188,6 +188,8 @@ def test_effects_of_undetermined_form_are_marked():
         one = replace(effect, **keywords, intervals={"A": (low, 1.4)})
         text = line_of(Report(make_outcome(effects=(one,))))
         assert ("A = 0.80 +- 0.10 N m, its form is not" in text) == expected
+        one = replace(one, effect=Coulomb(), parameters={"A": 0.8, "k": 2.0})
+        assert words.parameter_text(one)[1:] == ["k not identifiable"]
 
 
 def test_a_wrong_gain_of_a_control_law_forbids_its_use():
@@ -340,6 +342,7 @@ def test_dictionary_replaces_nan_by_none():
         (0.1123, (0.08, 0.14), "", "0.11 +- 0.03"),
         (1234.5, (1000.0, 1469.0), "N", "1200 +- 200 N"),
         (2e-7, (1.8e-7, 2.2e-7), "", "(2.0 +- 0.2)e-7"),
+        (3e-5, (0.0, 1.2e-4), "rad", "< 0.00012 rad"),
         (0.5, (0.5, 0.5), "s", "0.5 s"),
         (np.nan, (0.0, 1.0), "s", "? s"),
     ],

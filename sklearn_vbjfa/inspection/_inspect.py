@@ -360,7 +360,7 @@ def _apply_hypotheses(reading):
             (match.kind or rival.name).partition(":")[0]
             for rival, (match, other_odds) in proposed
             if rival is not hypothesis
-            and odds - other_odds < near[0 < candidate.fall < match.fall + 1]
+            and odds - other_odds < near[bool(0 < candidate.fall < match.fall + 1)]
         ]
         findings.append(hypothesis.finding(reading, candidate, odds, rivals))
         if after is None:

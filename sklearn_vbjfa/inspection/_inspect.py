@@ -406,10 +406,10 @@ def _is_scale_ambiguous(robot):
 def _is_order_ambiguous(reading):
     """Whether another common joint order fits as well as that of the description."""
     baseline, orders = reading.robot.baseline, positions.usual_orders(reading)
-    fits = (reading.fit_change(positions.reordered(order)) for order in orders)
+    changes = sorted(map(positions.reordered, orders), key=reading.score)
+    fits = filter(None, map(reading.fit_change, changes[: number.MOST_LIKELY]))
     return any(
         fit.fall(baseline) > -number.CLEAR
         or fit.evidence > baseline.evidence - number.RIVAL
         for fit in fits
-        if fit is not None
     )

@@ -13,7 +13,7 @@ from sklearn_vbjfa.inspection import inspect_as
 from sklearn_vbjfa.model import load_model, load_reduced, movable_joints, write_reduced
 from sklearn_vbjfa.model._loading import load_folded
 from sklearn_vbjfa.physical import ProjectionError
-from sklearn_vbjfa.recording import common_folder, expand
+from sklearn_vbjfa.recording import RecordingRefused, common_folder, expand
 
 # First characters of cells that a spreadsheet evaluates as formulas.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -99,17 +99,36 @@ def naming_input(arguments, *read_arguments):
         if isinstance(signs, tuple) and gains is not None:
             options["gains"] = tuple(a * b for a, b in zip(signs, gains))
         if options:
-            other = parse(shlex.split(command_line(arguments, options))[3:])
-            try:
-                read(other, *read_arguments)
-            except ValueError:
-                # The log cannot be read with the suggested options.
-                options = {}
+            options = _checked(arguments, options, *read_arguments)
         reason = f"{log_name(arguments)}: {getattr(error, 'reason', error)}"
         raise Refused(reason, **options) from error
 
 
 def read(arguments, urdf, joints, gains):
+    """Read the recording; an error suggests only options with which it can be read."""
+    try:
+        return _read(arguments, urdf, joints, gains)
+    except (Refused, RecordingRefused) as error:
+        options = _checked(arguments, error.options, urdf, joints, gains)
+        raise Refused(getattr(error, "reason", error), **options) from error
+
+
+def _checked(arguments, options, urdf, joints, gains):
+    """Return options that read a log, with those of later errors, or {}."""
+    # Standard input cannot be read again.
+    while options and "-" not in arguments.recording:
+        other = parse(shlex.split(command_line(arguments, options))[3:])
+        try:
+            gains = other.gain or (None if other.drive else gains)
+            _read(other, urdf, other.joints or joints, gains)
+            break
+        except ValueError as error:
+            more = getattr(error, "options", {})
+            options = {} if more.keys() <= options.keys() else options | more
+    return options
+
+
+def _read(arguments, urdf, joints, gains):
     files = paths(arguments)
     recording = datasets.read_recording(
         files[0] if len(files) == 1 else files,

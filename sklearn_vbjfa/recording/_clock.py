@@ -381,6 +381,8 @@ def _read_stamps(table, role, options, q):
         # Static poses: the time between them has no effect.
         return (options.dt or period) * np.arange(len(q))
     plausible = step in (0.0, 1.0) or unit_of_steps(period) == "s"
+    # Stamps with too few digits repeat, and their steps are not the period.
+    plausible |= np.mean(np.diff(seconds) == 0) > 0.5
     if not plausible and likely not in ("", name):
         raise RecordingRefused(
             f"{table.path}: time steps by {period:.4g} s at the median, too "

@@ -39,6 +39,7 @@ _CHANNELS = {"q": "positions", "tau": "torques", "q_desired": "desired positions
 
 def _refusal(table, layout, options, robot, missing):
     """Return the error that lists all missing channels and suggests options."""
+    _refuse_rows_by_joint(table)
     candidates = {kind: _near_patterns(table, kind, robot.names) for kind in missing}
     parts = []
     if layout.joints and layout.joints != robot.names:
@@ -66,6 +67,19 @@ def _refusal(table, layout, options, robot, missing):
             "recording need join=True"
         )
     return RecordingRefused(f"{table.path}: {'; '.join(parts)}.", suggested)
+
+
+def _refuse_rows_by_joint(table):
+    """Refuse tables whose rows name their joint in a column, in turn."""
+    for name in table.frame:
+        values = table.values(name)
+        n = len(set(values))
+        if values.dtype.kind in "iuOU" and 1 < n < len(values) / 2:
+            if (values[n:] == values[:-n]).all():
+                raise RecordingRefused(
+                    f"{table.path}: each row is of one joint (column {name!r}): write "
+                    "one row per sample, with the columns q1, ..., tau1, ... instead."
+                )
 
 
 def _suggestion(table, options, near):
@@ -203,6 +217,7 @@ def _sort_roles(table, layout, options, robot, notes):
         ordered[kind] = [roles[key] for key in keys]
     names = names or tuple(f"joint_{k + 1}" for k in range(count))
     if len(names) != count:
+        _refuse_rows_by_joint(table)
         fewer = count < len(names) and not robot.explicit
         raise RecordingRefused(
             f"{table.path}: {count} column(s) q for {len(names)} joint(s) "

@@ -63,3 +63,14 @@ def test_a_refusal_suggests_a_command(recording, tmp_path, capsys):
     command = line.partition("this would work: python -m sklearn_vbjfa ")[2]
     assert command.startswith("inspect ")
     assert command.endswith("--columns 'q=angle{i},tau=torque{i}'")
+
+
+def test_rows_by_joint_are_refused_without_a_command(recording, tmp_path, capsys):
+    n, nv = recording.q.shape
+    columns = np.repeat(recording.t, nv), np.tile(np.arange(1, nv + 1), n)
+    rows = np.column_stack([*columns, recording.q.ravel(), recording.tau.ravel()])
+    path, header = tmp_path / "long.csv", "t,joint,q,tau"
+    np.savetxt(path, rows, "%.9g", ",", header=header, comments="")
+    line = refused("inspect", capsys, path, "--urdf", recording.urdf)
+    assert "each row is of one joint (column 'joint')" in line
+    assert "this would work" not in line

@@ -282,9 +282,11 @@ def _resample_file(segments, dt):
         pieces += resampled
     file.notes.extend(_timing_notes(file, segments, dt, n_short))
     if not pieces:
+        mean = np.ptp(file.t) / max(file.t.size - 1, 1)
         raise ValueError(
-            f"{file.path}: no {_MIN_SAMPLES} samples follow one another without a gap "
-            f"of more than {GAP_PERIODS:g} periods of {dt:.4g} s; check column t."
+            f"{file.path}: stamps come in bursts, no {_MIN_SAMPLES} of them without a "
+            f"gap of more than {GAP_PERIODS:g} periods of {dt:.4g} s; if rows are "
+            f"equidistant, leave t out and give dt ({mean:.4g} s by their number)."
         )
     return pieces
 

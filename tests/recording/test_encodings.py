@@ -17,7 +17,8 @@ def german_csv(separator):
     cells += [columns["tau1"], columns["tau2"], np.linspace(20, 40, N)]
     lines = [separator.join(HEADER)]
     for row in zip(*cells):
-        lines.append(separator.join(f"{x:.9f}".replace(".", ",") for x in row))
+        cells = [f"{x:.9f}".replace(".", ",") for x in row]
+        lines.append(separator.join(f'"{x}"' if separator == "," else x for x in cells))
     return "\r\n".join(lines) + "\r\n", columns
 
 
@@ -25,6 +26,7 @@ def german_csv(separator):
     ("separator", "encoding", "note"),
     [
         (";", "utf-8", ""),
+        (",", "utf-8", ""),
         (";", "utf-8-sig", ""),
         (";", "cp1252", "is not UTF-8, read as Windows text (cp1252)"),
         ("\t", "utf-16", ""),

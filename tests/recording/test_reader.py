@@ -264,9 +264,11 @@ def test_unreadable_files_are_refused(tmp_path):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=message):
             read_recording(path)
-    np.savez(tmp_path / "short.npz", q=np.zeros((5, 1)), tau=np.zeros((4, 1)))
-    with pytest.raises(ValueError, match="'tau' has 4 rows, others have 5"):
-        read_recording(tmp_path / "short.npz", dt=DT)
+    for shape in ((4, 1), (5, 2, 2)):
+        np.savez(tmp_path / "short.npz", q=np.zeros((5, 1)), tau=np.zeros(shape))
+        message = f"'tau' has the shape {shape}, others have 5 rows"
+        with pytest.raises(ValueError, match=re.escape(message)):
+            read_recording(tmp_path / "short.npz", dt=DT)
 
 
 @pytest.mark.parametrize(
@@ -333,7 +335,7 @@ def test_single_missing_samples_are_interpolated_and_gaps_split(csv):
 
 
 @pytest.mark.parametrize(
-    "nothing", ["", "nan", "NaN", "NA", "N/A", "null", "None", "-", "#REF!"]
+    "nothing", ["", "nan", "NaN", "NA", "null", "None", "-", "#REF!", "-1.#IND00"]
 )
 @pytest.mark.parametrize("stamped", [True, False])
 def test_rows_with_missing_numbers_are_skipped(csv, nothing, stamped):

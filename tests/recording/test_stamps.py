@@ -115,6 +115,9 @@ def test_rows_with_repeated_stamps_are_skipped(tmp_path):
     # Stamps with so few digits are refused.
     with pytest.raises(ValueError, match=r"time repeats .* leave the stamps out"):
         save(tmp_path / "b.npz", np.round(t, 2), motion(t), tau)
+    bursts = t[np.arange(N) // 8 * 8] + np.arange(N) % 8 * 1e-4
+    with pytest.raises(ValueError, match=r"come in bursts.* give dt \(0\.00\d* s"):
+        save(tmp_path / "c.npz", bursts, motion(t), tau)
 
 
 def test_random_time_steps_are_refused():

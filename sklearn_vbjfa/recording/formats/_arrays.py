@@ -96,7 +96,7 @@ def _table_of_arrays(path, arrays) -> Table:
     """Build a table from arrays or lists; a matrix such as q becomes q1, q2, ..."""
     arrays = {name: _to_array(path, name, x) for name, x in arrays.items()}
     # Messages contain empty lists for quantities that are not measured.
-    arrays = {name: x for name, x in arrays.items() if x.size}
+    arrays = {k: x.squeeze() if x.ndim > 2 else x for k, x in arrays.items() if x.size}
     n_rows = _number_of_rows(path, arrays)
     rows, scalars = {}, {}
     for name, x in arrays.items():
@@ -104,10 +104,10 @@ def _table_of_arrays(path, arrays) -> Table:
         x = x.T if x.ndim == 2 and x.shape[1] == n_rows != len(x) else x
         if x.ndim in (1, 2) and len(x) == n_rows:
             rows[name] = x
-        elif x.ndim in (1, 2) and _CHANNEL.fullmatch(name):
+        elif x.ndim and _CHANNEL.fullmatch(name):
             raise RecordingRefused(
-                f"{path}: array {name!r} has {len(x)} rows, others have {n_rows}; all "
-                "channels need one row per sample."
+                f"{path}: array {name!r} has the shape {x.shape}, others have {n_rows} "
+                "rows; all channels need one row per sample."
             )
         else:
             scalars[name] = x

@@ -38,8 +38,12 @@ _NUMBER = re.compile(
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}((\.\d{3})+,\d+|(,\d{3})+(\.\d*)?)", re.ASCII)
 # Minimum number of rows for which an invalid last line is taken as truncated.
 _MIN_ROWS = 10
-# Errors of spreadsheets in cells, which are not comments.
-_SHEET_ERROR = re.compile(rb"#(REF!|N/A|NUM!|VALUE!|DIV/0!|NAME\?|NULL!)")
+# Errors of spreadsheets and not-a-numbers of Windows in cells, not comments.
+_SHEET_ERROR = re.compile(
+    rb"#(REF!|N/A|NUM!|VALUE!|DIV/0!|NAME\?|NULL!)|-?\d\.#[A-Z]+\d*|-?nan\(\w+\)"
+)
+# Decimal commas, in contrast to separators of thousands.
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,(\d{1,2}|\d{4,})([eE].*)?", re.ASCII)
 _BRACKETS_TO_BLANKS = bytes.maketrans(b"()[]", b"    ")
 # A line that declares the separator to Excel.
 _EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
@@ -286,7 +290,7 @@ def _convert_cells(table, name, comma):
     text = values.astype(str).str.strip("\"' ")
     filled = values.notna() & ~text.str.lower().isin(_MISSING)
     cells = text.where(filled)
-    if comma:
+    if comma or text.str.fullmatch(_DECIMAL_COMMA).any():
         points = text.str.contains(".", regex=False)
         cells = cells.where(points, cells.str.replace(",", ".", n=1, regex=False))
     numbers = imported(table.path, "pandas").to_numeric(cells, errors="coerce")

@@ -74,12 +74,11 @@ def _refuse_rows_by_joint(table):
     for name in table.frame:
         values = table.values(name)
         n = len(set(values))
-        if values.dtype.kind in "iuOU" and 1 < n < len(values) / 2:
-            if (values[n:] == values[:-n]).all():
-                raise RecordingRefused(
-                    f"{table.path}: each row is of one joint (column {name!r}): write "
-                    "one row per sample, with the columns q1, ..., tau1, ... instead."
-                )
+        if 1 < n < len(values) / 2 and (values[n:] == values[:-n]).all():
+            raise RecordingRefused(
+                f"{table.path}: each row is of one joint (column {name!r}): write one "
+                "row per sample, with the columns q1, ..., tau1, ... instead."
+            )
 
 
 def _suggestion(table, options, near):

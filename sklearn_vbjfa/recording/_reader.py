@@ -385,16 +385,12 @@ def _check_suggestion(error, paths, options):
     offer = {"columns": options.mapping, **error.options}
     offered = replace(options, mapping=offer.pop("columns"), **offer)
     for path in paths:
-        # A file that cannot be opened is not affected by options, except the topic.
-        tables = []
         try:
-            tables = _read_tables(path, offered, [])
-            _convert(path, [*tables], offered, [])
+            _convert(path, _read_tables(path, offered, []), offered, [])
         except ValueError as other:
+            # An error that no option corrects is reported first.
             try:
-                if not tables:
-                    raise
-                _convert(path, tables, options, [])
+                _convert(path, _read_tables(path, options, []), options, [])
             except ValueError as previous:
                 if not getattr(previous, "options", None):
                     raise

@@ -186,7 +186,11 @@ def read_mat(path) -> Table:
         data = loadmat(path, simplify_cells=True)
     # MATLAB tables and time series are unnamed here; functions contain no numbers.
     data = {name: x for name, x in data.items() if str(name or "__")[:2] != "__"}
-    arrays = {name: _text_array(x) for name, x in _flatten(data).items()}
+    arrays = {name: np.asarray(x) for name, x in _flatten(data).items()}
+    for name, x in arrays.items():
+        # Cells with text.
+        if x.dtype.kind == "O" and all(isinstance(y, str) for y in x.flat):
+            arrays[name] = x.astype(str)
     arrays = {name: x for name, x in arrays.items() if x.dtype.kind in "biufU"}
     if not arrays:
         raise NotATable(
@@ -194,13 +198,6 @@ def read_mat(path) -> Table:
             f"series: t = T.Time; q = T{{:, 2:7}}; ... {_SAVE}."
         )
     return _table_of_arrays(path, _strip_common_prefix(arrays))
-
-
-def _text_array(values):
-    """Return an array, of str instead of objects for cells with text."""
-    array = np.asarray(values)
-    texts = array.dtype.kind == "O" and all(isinstance(x, str) for x in array.flat)
-    return array.astype(str) if texts else array
 
 
 def read_json(path, content) -> Table:
@@ -409,11 +406,10 @@ def _joint_states(shown, topic, names, values, times, wanted):
     mapping = "position [rad or m] as q and effort [N m or N] as tau"
     notes = [f"read from {topic}: {mapping} of {', '.join(joints)}."]
     if others:
-        note = (
+        notes.append(
             f"joint(s) {listed(others)} of {topic} left out: the robot has none of "
             "that name, or they come in other messages, or without numbers."
         )
-        notes.append(Loss(note) if {*others} & {*wanted} else note)
     if not rows.all():
         note = (
             f"{(~rows).sum()} of {rows.size} messages of {topic} lack some of the "

@@ -188,8 +188,8 @@ SENTENCES = {
     "of {period:.3g} s and another unit (gains={gain:.3g}).",
     "gravity_only": "The torques contain the weight of the links alone: the factor of "
     "their inertia is {part:.2f} ± {error:.2f}. Log the torques of the motors.",
-    "computed_torque": "The torques are those of the description to {share}, without "
-    "friction: a model was logged, not a measurement. Log the torques of the motors.",
+    "computed_torque": "The torques of {who} are those of the description to {share}, "
+    "without friction: a model was logged, not a measurement. Log measured torques.",
     "base_orientation": "By the torques, gravity pulls along ({pull}) of the base "
     "frame, {angle:.0f} degrees from the description: the base is mounted otherwise, "
     "as on a wall or a ceiling. Turn it in the description (a free base: by "

@@ -292,14 +292,16 @@ def other_robot(reading):
 def computed_torque(reading):
     """Return torques that equal the described ones (a model was logged)."""
     robot, tau, rows = reading.robot, reading.robot.signals.tau, reading.robot.rows
-    residual = tau - robot.described
-    pairs = [(residual[rows[j], j], tau[rows[j], j]) for j in robot.joints]
-    largest = max(np.sqrt(np.mean(x**2) / (y.var() + 1e-300)) for x, y in pairs)
-    # A single joint may have negligible friction.
-    if len(pairs) < 2 or largest > number.COMPUTED:
+    residual, shares = tau - robot.described, {}
+    for j in robot.joints:
+        x, y = residual[rows[j], j], tau[rows[j], j]
+        shares[j] = np.sqrt(np.mean(x**2) / (y.var() + 1e-300))
+    computed = [j for j in shares if shares[j] <= number.COMPUTED]
+    # The torque of a robot with a single joint may have negligible friction.
+    if len(shares) < 2 or not computed:
         return None
-    facts = {"share": percent(largest)}
-    return Proposal(joints=reading.every, log_odds=np.inf, facts=facts)
+    facts = {"share": percent(max(shares[j] for j in computed))}
+    return Proposal(joints=computed, log_odds=np.inf, facts=facts)
 
 
 def motion_as_torque(reading):

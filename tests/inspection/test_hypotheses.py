@@ -388,7 +388,10 @@ def test_torques_of_the_description(log):
     recording, model, _ = log
     v = np.gradient(recording.q, recording.dt, axis=0)
     states = np.hstack([recording.q, v, np.gradient(v, recording.dt, axis=0)])
-    assert faults_of(log, tau=inverse_dynamics(model, states))[0] == ["computed_torque"]
+    tau = inverse_dynamics(model, states)
+    assert faults_of(log, tau=tau)[0] == ["computed_torque"]
+    one = np.where(np.arange(model.nv) == 1, tau, recording.tau)
+    assert [x.joints for x in faults_of(log, tau=one)[1]] == [(1,)]
 
 
 def chain(*joints):

@@ -116,6 +116,16 @@ RECORDINGS = {
             "identify": (3, "Recordings 0 and 1 contradict each other on joint 1"),
         },
     ),
+    "another unit in one recording": (
+        lambda x: (
+            {k: y * 100 ** (late(x) * ("tau" in k)) for k, y in x.items()}
+            | {"segment": 1 * late(x)}
+        ),
+        {
+            "": (3, "Recording . alone: All torques"),
+            "identify": (3, "^warning: Recording . alone: All torques .*contradict"),
+        },
+    ),
     "half a second": (
         lambda x: {name: column[:100] for name, column in x.items()},
         {"": (0, ""), "identify": (3, r"noise floor unknown \(joint 1 \(shoulder\)\)")},

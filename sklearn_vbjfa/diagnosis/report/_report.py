@@ -94,7 +94,7 @@ class Report:
         values = filter(None, map(say, ("bodies_apart", *kinds)))
         uninformative = [c.message for c in channels if c.severity == "warning"]
         export = self.outcome.provenance.get("export", ())
-        return (*contradictions, *faults, *joints, *values, *uninformative, *export)
+        return (*faults, *contradictions, *joints, *values, *uninformative, *export)
 
     @property
     def has_open_questions(self):

@@ -28,6 +28,10 @@ def main(argv=None):
             reason = f"{error.filename or 'output'}: {error.strerror}"
         options = getattr(error, "options", {})
     line = f"sklearn-vbjfa: {one_line(reason)}"
+    if options and hasattr(arguments, "recording"):
+        from sklearn_vbjfa._cli._input import checked
+
+        options = checked(arguments, options)
     if options:
         line += f"; this would work: {command_line(arguments, options)}"
     say(line)

@@ -25,7 +25,7 @@ def correct(arguments, folder):
         raise Refused(f"--for gravity finds only masses; leave out {names}", **unused)
     out = _input.output_folder(arguments, "report")
     recording, urdf, _ = _input.load(arguments, folder)
-    with _input.naming_input(arguments, urdf, arguments.joints, arguments.gain):
+    with _input.naming_input(arguments):
         result = correct_gravity(recording, str(urdf))
     robot, enough = result.identifier, result.poses_enough
     words = ["--urdf", arguments.urdf, "--report", str(out), "--for", "gravity"]

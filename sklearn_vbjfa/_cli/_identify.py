@@ -38,7 +38,7 @@ def identify(arguments, folder):
     settings = _input.settings(arguments)
     recording, urdf, held = _input.load(arguments, folder)
     files = tuple(dict.fromkeys(map(str, _input.paths(arguments))))
-    with _input.naming_input(arguments, urdf, arguments.joints, arguments.gain):
+    with _input.naming_input(arguments):
         loop = search(recording, str(urdf), effects=effects, **settings)
     robot = folder / "robot"
     robot.mkdir()

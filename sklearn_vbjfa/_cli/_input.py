@@ -13,7 +13,7 @@ from sklearn_vbjfa.inspection import inspect_as
 from sklearn_vbjfa.model import load_model, load_reduced, movable_joints, write_reduced
 from sklearn_vbjfa.model._loading import load_folded
 from sklearn_vbjfa.physical import ProjectionError
-from sklearn_vbjfa.recording import RecordingRefused, common_folder, expand
+from sklearn_vbjfa.recording import common_folder, expand
 
 # First characters of cells that a spreadsheet evaluates as formulas.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -88,9 +88,8 @@ def motor_units(recording):
 
 
 @contextlib.contextmanager
-def naming_input(arguments, *read_arguments):
+def naming_input(arguments):
     """Name the recording in errors: options are valid, so that it is at fault."""
-    # read_arguments: further arguments with which it was read.
     try:
         yield
     except (ValueError, ProjectionError) as error:
@@ -98,29 +97,20 @@ def naming_input(arguments, *read_arguments):
         signs, gains = options.get("gains"), arguments.gain
         if isinstance(signs, tuple) and gains is not None:
             options["gains"] = tuple(a * b for a, b in zip(signs, gains))
-        if options:
-            options = _checked(arguments, options, *read_arguments)
         reason = f"{log_name(arguments)}: {getattr(error, 'reason', error)}"
         raise Refused(reason, **options) from error
 
 
-def read(arguments, urdf, joints, gains):
-    """Read the recording; an error suggests only options with which it can be read."""
-    try:
-        return _read(arguments, urdf, joints, gains)
-    except (Refused, RecordingRefused) as error:
-        options = _checked(arguments, error.options, urdf, joints, gains)
-        raise Refused(getattr(error, "reason", error), **options) from error
-
-
-def _checked(arguments, options, urdf, joints, gains):
+def checked(arguments, options):
     """Return options that read a log, with those of later errors, or {}."""
-    # Standard input cannot be read again.
-    while options and "-" not in arguments.recording:
+    # Standard input cannot be read again; `out` does not concern reading.
+    fixed = not arguments.urdf or {"-", "out"} & {*arguments.recording, *options}
+    while options and not fixed:
         other = parse(shlex.split(command_line(arguments, options))[3:])
+        assumed = "unknown" if other.command == "inspect" else None
         try:
-            gains = other.gain or (None if other.drive else gains)
-            _read(other, urdf, other.joints or joints, gains)
+            with tempfile.TemporaryDirectory() as folder:
+                load(other, Path(folder), assumed=assumed)
             break
         except ValueError as error:
             more = getattr(error, "options", {})
@@ -128,7 +118,7 @@ def _checked(arguments, options, urdf, joints, gains):
     return options
 
 
-def _read(arguments, urdf, joints, gains):
+def read(arguments, urdf, joints, gains):
     files = paths(arguments)
     recording = datasets.read_recording(
         files[0] if len(files) == 1 else files,

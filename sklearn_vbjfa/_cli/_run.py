@@ -25,9 +25,7 @@ _MAX_LENGTH = 900
 # Maximum number of warnings in the last line.
 _N_NAMED = 3
 # First clause of a message, with parentheses; a file name may precede it.
-_CLAUSE = re.compile(
-    r"(?:[^;:]*(?:\.\w+| alone): )?\S+(?: (?:\([^)]*\)|.)*?)?(?=[;:.] |$)"
-)
+_CLAUSE = re.compile(r"([^;:]*(\.\w+| alone): )?\S+( (\([^)]*\)|.)*?)?(?=[;:.] |$)")
 # Age from which unfinished files are attributed to a killed run [s].
 _MAX_AGE = 3600.0
 

@@ -51,7 +51,13 @@ def simulate(arguments, folder):
             message = f"{_input.log_name(arguments)}: {finding.message}"
             warnings.warn(message, DoubtWarning, stacklevel=2)
         windows = _windows(arguments, robot, recording)
-    places = [_window_place(recording, windows, k) for k in range(windows.n_windows)]
+    # Recording of each window, and its begin and end in it [s].
+    places, names = [], recording.group_names
+    for row, t in zip(windows.starts, windows.t):
+        label = recording.groups[row]
+        begin = (row - recording.segments[label].start) * recording.dt
+        name = recording.name if len(names) == 1 else names[label]
+        places.append((name, begin, begin + t[-1] - t[0]))
     verdict, failed = windows.verdict(), ""
     for k, message in [*windows.failures.items()][:1]:
         name, begin, end = places[k]
@@ -111,7 +117,7 @@ def _recording(arguments, robot, folder):
     measured = arguments.drive is None and not has_gains
     refused = refusal(findings, recording.torque_units if measured else ())
     if refused is not None:
-        with _input.naming_input(*given):
+        with _input.naming_input(arguments):
             raise refused
     findings = [finding for finding in findings if finding.severity != "note"]
     return recording, arguments, taken, findings
@@ -141,15 +147,6 @@ def _windows(arguments, robot, recording):
         recording = signed(robot, recording)
     arrays = recording.q, recording.tau, recording.groups
     return simulate_windows(robot, *arrays, **settings)
-
-
-def _window_place(recording, windows, k):
-    """Return the recording of a window, and its begin and end in it [s]."""
-    row, names = windows.starts[k], recording.group_names
-    label = recording.groups[row]
-    begin = (row - recording.segments[label].start) * recording.dt
-    name = recording.name if len(names) == 1 else names[label]
-    return name, begin, begin + windows.t[k, -1] - windows.t[k, 0]
 
 
 def _error_columns(windows):

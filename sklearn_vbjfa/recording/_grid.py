@@ -26,7 +26,8 @@ from sklearn_vbjfa.recording._table import RATE_RATIO, Loss
 _MIN_SAMPLES = 16
 # Lower quartile of the absolute value of a standard normal variable.
 _QUARTILE = 0.3186
-# Files in which more than this share of rows repeats a time stamp are refused.
+# Files in which more than this share of rows repeats a time stamp are refused. Sources
+# that write in turn have fewer rows in common.
 _MAX_REPEATED = 0.1
 
 
@@ -66,10 +67,6 @@ def interpolate(t, channels, dt: float, grid=None):
     return grid, resampled
 
 
-# Maximum share of rows that sources which write in turn have in common.
-_MAX_COMMON = 0.1
-
-
 def merge_sources(table, layout, notes):
     """Merge sources that write rows in turn, at the stamps of the slowest."""
     roles = [x for x in layout.roles if x.kind not in ("t", "segment")]
@@ -82,9 +79,8 @@ def merge_sources(table, layout, notes):
     dates = nanoseconds(table, layout.stamps[0])
     t = table.values(layout.stamps[0]) if dates is None else 1e-9 * (dates - dates[0])
     if (
-        len(sources) < 2
-        or sizes.min() < max(_MIN_SAMPLES, RATE_RATIO * sizes.max())
-        or finite.all(axis=0).sum() > _MAX_COMMON * sizes.min()
+        sizes.min() < max(_MIN_SAMPLES, RATE_RATIO * sizes.max())
+        or finite.all(axis=0).sum() > _MAX_REPEATED * sizes.min()
         or any(x.dtype.kind not in "iuf" for x in (t, *values.values()))
         or any((np.diff(t[x]) <= 0).any() for x in sources)
     ):

@@ -313,8 +313,18 @@ def read_recording(
             for p in counted(paths, "reading file", len(paths)):
                 files += _convert(p, _read_tables(p, options, notes), options, notes)
         except RecordingRefused as error:
-            if len(paths) > 1 and error.options:
-                _check_suggestion(error, paths, options)
+            # Options suggested for one file must be able to read the others, too.
+            offer = {"columns": options.mapping, **error.options}
+            offered = replace(options, mapping=offer.pop("columns"), **offer)
+            for p in paths if len(paths) > 1 and error.options else ():
+                try:
+                    _convert(p, _read_tables(p, offered, []), offered, [])
+                except ValueError as other:
+                    # An error that no option corrects is reported first.
+                    if not getattr(other, "options", None):
+                        raise
+                    reason = f"{error.reason}; other files are not so: convert those"
+                    raise RecordingRefused(f"{reason} that differ.") from other
             raise
     several = len(files) > 1 or not (join or isinstance(path, (str, PathLike)))
     recording = _combine(files, several, options.urdf, notes)
@@ -378,24 +388,6 @@ def _convert(path, tables, options, notes):
         f"{path} is taken as a folder of {len(tables)} recordings, one a file."
     )
     return [read_rows(tables.pop(0), options) for _ in range(len(tables))]
-
-
-def _check_suggestion(error, paths, options):
-    """Check that the options suggested for one file can read the others, too."""
-    offer = {"columns": options.mapping, **error.options}
-    offered = replace(options, mapping=offer.pop("columns"), **offer)
-    for path in paths:
-        try:
-            _convert(path, _read_tables(path, offered, []), offered, [])
-        except ValueError as other:
-            # An error that no option corrects is reported first.
-            try:
-                _convert(path, _read_tables(path, options, []), options, [])
-            except ValueError as previous:
-                if not getattr(previous, "options", None):
-                    raise
-            reason = f"{error.reason}; other files are not so"
-            raise RecordingRefused(f"{reason}: convert those that differ.") from other
 
 
 def _read_settled(path, options):

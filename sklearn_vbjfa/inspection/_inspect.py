@@ -79,8 +79,7 @@ TABLE = (
     # -- positions and time
     Hypothesis("position_unit", "error", positions.units, "turns",
                surpasses="invented"),
-    Hypothesis("position_unit:gear", "warning", positions.gear_factor, "turns",
-               surpasses="invented springs"),
+    Hypothesis("position_unit:gear", "warning", positions.gear_factor, "turns"),
     Hypothesis("position_zeros", "error", partial(positions.zeros, few=False),
                "zeroed"),
     Hypothesis("swapped_torques", "error", partial(positions.orders, what="torques"),
@@ -408,8 +407,5 @@ def _is_order_ambiguous(reading):
     baseline, orders = reading.robot.baseline, positions.usual_orders(reading)
     changes = sorted(map(positions.reordered, orders), key=reading.score)
     fits = filter(None, map(reading.fit_change, changes[: number.MOST_LIKELY]))
-    return any(
-        fit.fall(baseline) > -number.CLEAR
-        or fit.evidence > baseline.evidence - number.RIVAL
-        for fit in fits
-    )
+    least = baseline.evidence - number.RIVAL
+    return any(x.fall(baseline) > -number.CLEAR or x.evidence > least for x in fits)

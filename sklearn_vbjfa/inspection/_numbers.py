@@ -69,8 +69,8 @@ LATE_COMMAND, CONTACT, SHORTEST_CONTACT, CONTACT_ENDS = 0.15, 3.0, 20, 80
 # in degrees [rad], and least range of encoder counts.
 LARGEST_TURN, FAR_BEYOND, FEWEST_COUNTS = 25.0, 5.0, 25.0
 # Factors of positions that are tested per joint [log], error below which a factor is
-# known, and least factor of a wrong gear [log].
-RATIOS, KNOWN_RATIO, LEAST_GEAR = np.linspace(-2.1, 2.1, 14), 0.1, 0.1
+# known, and least factor of a wrong gear [log]: elasticity has smaller ones.
+RATIOS, KNOWN_RATIO, LEAST_GEAR = np.linspace(-2.1, 2.1, 14), 0.1, 0.02
 # Signs must reduce the squared error of an unsigned torque by this factor, and each
 # sign must occur in this share of the rows. Rows and iterations of the fit of signs;
 # initial Coulomb friction, relative to the root mean square of the rigid torque.

@@ -115,9 +115,8 @@ def coupled_axes(reading):
         return None
     facts = {"name": reading.names[j], "other": reading.names[i], "minus": minus}
     torque = ", and the torque of {other} by that of {other} {plus} that of {name}"
-    facts["also"] = torque.format(plus=plus, **facts) * (
-        best.change.torques is not None
-    )
+    is_shared = best.change.torques is not None
+    facts["also"] = torque.format(plus=plus, **facts) * is_shared
     return replace(best, joints=(j,), facts=facts)
 
 
@@ -344,24 +343,38 @@ def _with_ratios(reading, best):
 def gear_factor(reading):
     """Return the joint whose position, or position and torque, has a gear factor."""
     # Factors of prismatic positions are not distinguishable from other masses.
-    revolute = [int(j) for j in reading.robot.joints if not reading.slides[j]]
-    changes = {}
-    for x, j in product(number.RATIOS, revolute):
-        # A wrong gear ratio preserves power; otherwise only the position is wrong.
-        for geared in (False, True):
-            make_change = functools.partial(_scaling, j=j, nv=reading.nv, geared=geared)
-            changes[make_change(x)] = make_change
-    best = most_likely(reading, changes) if changes else None
+    robot, scaling = reading.robot, functools.partial(_scaling, nv=reading.nv)
+    revolute = [int(j) for j in robot.joints if not reading.slides[j]]
+    # A wrong gear ratio preserves power; otherwise only the position is wrong.
+    grid = list(product(number.RATIOS, revolute, (False, True)))
+    changes = {scaling(x, j, geared=geared): (x, j) for x, j, geared in grid}
+    best = most_likely(reading, changes) if reading.poor else None
+    starts = [changes[best.change]] if best else []
+    # Factors near one are estimated together, and the clearest one is tested.
+    steps = [functools.partial(scaling, j=j) for j in revolute]
+    near, errors = refine(reading, scaling(0.0, revolute), steps)
+    logs = np.log(np.diagonal(near.positions)[revolute])
+    clearest = max(zip(np.abs(logs) / errors, logs, revolute), default=(0.0,))
+    starts += [clearest[1:]] if clearest[0] > 3 else []
+    found = []
+    for (x, j), geared in product(starts, (False, True)):
+        step = functools.partial(scaling, j=j, geared=geared)
+        change, (error,) = refine(reading, step(x), [step])
+        facts = {"power": ", and multiply the torque by it" * geared}
+        facts["each"] = _ratios(reading, change, [j], [error])
+        if abs(np.log(change.positions[j, j])) > max(number.LEAST_GEAR, 3 * error):
+            found.append(judge(reading, change, variants=len(changes), facts=facts))
+    best = most_probable(found)
     if best is None:
         return None
-    change, (error,) = refine(reading, best.change, [changes[best.change]])
-    (j,) = best.joints
-    # Smaller factors may be an effect, a different link, or not identifiable.
-    if abs(np.log(change.positions[j, j])) < max(number.LEAST_GEAR, 3 * error):
-        return None
-    power = ", and multiply the torque by it" * (change.torques is not None)
-    facts = {"each": _ratios(reading, change, [j], [error]), "power": power}
-    return judge(reading, change, variants=len(changes), facts=facts)
+    # Other masses, springs, or wrong gains of torques may have the same effect.
+    pair, gains = (robot, reading.robot_after(best.change)), np.eye(reading.nv)
+    fits = [x.fit(columns=x.described[:, :, None] * gains, deviation=1.0) for x in pair]
+    odds = best.log_odds - max(robot.invented, robot.springs)
+    odds = min(odds, fits[1].evidence - fits[0].evidence)
+    explains_all = pair[1].baseline.loss.max() < 2 * np.log(number.SAME)
+    certain = sum((odds > number.FAR_ODDS, best.clear, explains_all)) > 1
+    return replace(best, clear=True) if certain and odds > number.RIVAL else None
 
 
 def _scaling(x, j, nv, geared=False):

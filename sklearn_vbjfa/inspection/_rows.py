@@ -188,9 +188,8 @@ def still_joints(q, parts):
 def at_rest(names, q, parts):
     """Return the finding that no joint moves, for rows in any order; else None."""
     # Shuffled rows of a motion look like noise as well, but with a larger deviation.
-    still = q.std(axis=0).max() <= number.LEAST_MOTION
-    still = still and still_joints(q, parts).all()
-    return _nothing_moves(names, q) if still else None
+    small = q.std(axis=0).max() <= number.LEAST_MOTION
+    return _nothing_moves(names, q) if small and still_joints(q, parts).all() else None
 
 
 def _nothing_moves(names, q):
@@ -710,14 +709,6 @@ def _check_copies(log):
 
 # Each check reports findings and marks samples as unusable for the later ones.
 CHECKS = (
-    _check_wraps,
-    _check_rest,
-    _check_held,
-    _check_lost_rows,
-    _check_missing_rows,
-    _check_constant,
-    _check_overflows,
-    _check_torques,
-    _check_positions,
-    _check_copies,
-)
+    _check_wraps, _check_rest, _check_held, _check_lost_rows, _check_missing_rows,
+    _check_constant, _check_overflows, _check_torques, _check_positions, _check_copies,
+)  # fmt: skip

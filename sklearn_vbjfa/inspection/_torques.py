@@ -250,7 +250,7 @@ def mixed_torques(reading):
     torques, each, names = np.eye(reading.nv), [], reading.names
     for k, (joint, other) in enumerate(((i, j), (j, i))):
         size, share = fit.factors[2 * k : 2 * k + 2]
-        clear_share = abs(share) > 3 * fit.errors[2 * k + 1] + number.LEAST_GEAR
+        clear_share = abs(share) > 3 * fit.errors[2 * k + 1] + number.SILENT
         # Friction shared by two drives has the same effect, but a small own factor.
         if clear_share and 1 / number.SCALE < abs(size) < number.SCALE:
             torques[joint, [joint, other]] = 1 / size, -share / size

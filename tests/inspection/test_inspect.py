@@ -217,9 +217,8 @@ def test_channels_without_information(arm):
     tau[:, 2] = -0.0
     (finding,) = inspect(arm, tau=tau)
     assert finding.joints == (2, 4)
-    assert (
-        "joint_3, joint_5 are constant (0 or 1.5) while the joints" in finding.message
-    )
+    said = "joint_3, joint_5 are constant (0 or 1.5) while the joints"
+    assert said in finding.message
     q[:, 5] = 0.2 + 1e-4 * np.random.default_rng(0).normal(size=len(q))
     findings = inspect(arm, q=q)
     assert ("still_joint", (5,)) in found(findings)

@@ -190,8 +190,7 @@ class Plan:
         """Return `Rest.play` (2, nv) of the positions of an estimator, or None."""
         if estimator is None:
             return np.zeros((2, self.standstill.size))
-        # At most the travel at the standstill speed in the response time of the
-        # smoother: errors of coarse positions are no noise at rest.
+        # Errors of coarse positions are larger, but no noise at rest.
         rate = 2 * np.pi * np.minimum(estimator.cutoff_, 0.5 / estimator.dt)
         most = np.maximum(self.standstill, 0.0) / rate
         play = np.minimum(_PLAY * estimator.noise(0), most)

@@ -143,7 +143,8 @@ def _intervals(effect, estimate, values, deviations):
                 factor = math.exp(min(width / value, _MAX_LOG))
                 intervals[key] = value / factor, value * factor
             if key == "half" and value < resolved:
-                intervals[key] = 0.0, max(value + width, resolved)
+                most = min(value + width, max(*effect.displacements, *effect.falling))
+                intervals[key] = 0.0, max(most, resolved)
     return intervals
 
 

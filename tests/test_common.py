@@ -8,40 +8,28 @@ import pytest
 from sklearn.linear_model import LinearRegression
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from sklearn_vbjfa import (
-    InstrumentalVariables,
-    JFARegressor,
-    JointTorqueRegressor,
-    LocallyWeightedRegressor,
-    PhysicalProjector,
-    RigidBodyFeatures,
-    RobotIdentifier,
-    StateEstimator,
-    StepwiseRegressor,
-    TotalLeastSquares,
-    VBJFARegressor,
-)
+import sklearn_vbjfa as sv
 
 # One joint: three columns of states, as many as most of the checks use.
 SWING = str(Path(__file__).parent / "model" / "swing.urdf")
 
 # Few iterations suffice: the checks do not depend on convergence.
 ESTIMATORS = [
-    JFARegressor(query="noiseless", max_iter=15),
-    VBJFARegressor(),
-    JointTorqueRegressor(),
-    LocallyWeightedRegressor(LinearRegression(), n_models=3),
-    StepwiseRegressor(),
-    TotalLeastSquares(),
-    InstrumentalVariables(),
-    PhysicalProjector(),
+    sv.JFARegressor(query="noiseless", max_iter=15),
+    sv.VBJFARegressor(),
+    sv.JointTorqueRegressor(),
+    sv.LocallyWeightedRegressor(LinearRegression(), n_models=3),
+    sv.StepwiseRegressor(),
+    sv.TotalLeastSquares(),
+    sv.InstrumentalVariables(),
+    sv.PhysicalProjector(),
 ]
 # The same classes with other options.
 OTHER_OPTIONS = [
-    VBJFARegressor(query="noiseless", max_iter=15),
-    VBJFARegressor(prior="paper", max_iter=15),
-    JointTorqueRegressor(LinearRegression(), joint_weights=None),
-    PhysicalProjector("eq30"),
+    sv.VBJFARegressor(query="noiseless", max_iter=15),
+    sv.VBJFARegressor(prior="paper", max_iter=15),
+    sv.JointTorqueRegressor(LinearRegression(), joint_weights=None),
+    sv.PhysicalProjector("eq30"),
 ]
 
 # Expected error messages of checks that cannot pass.
@@ -105,9 +93,9 @@ IDENTIFIER = {
 
 def refusals(estimator):
     """Return the expected error message by name of the rejected check."""
-    if isinstance(estimator, StateEstimator):
+    if isinstance(estimator, sv.StateEstimator):
         return STATES if estimator.cutoff != "auto" else AUTOMATIC_STATES
-    return FEATURES if isinstance(estimator, RigidBodyFeatures) else IDENTIFIER
+    return FEATURES if isinstance(estimator, sv.RigidBodyFeatures) else IDENTIFIER
 
 
 def checks_of(estimators):
@@ -130,7 +118,7 @@ def messages(error):
 # Some checks standardise the columns, which causes a warning, or use fewer columns
 # than one body has parameters.
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
-@pytest.mark.filterwarnings("ignore:X is not as RigidBodyFeatures computes it")
+@pytest.mark.filterwarnings("ignore:X is not as sv.RigidBodyFeatures computes it")
 @pytest.mark.filterwarnings("ignore:.*too few for a body:UserWarning")
 @checks_of(ESTIMATORS)
 def test_estimator(estimator, check):
@@ -147,10 +135,10 @@ def test_estimator_with_other_options(estimator, check):
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @checks_of(
     [
-        StateEstimator(dt=0.01),
-        StateEstimator(dt=0.01, cutoff=20.0),
-        RigidBodyFeatures(SWING),
-        RobotIdentifier(SWING, friction=(), dt=0.01),
+        sv.StateEstimator(dt=0.01),
+        sv.StateEstimator(dt=0.01, cutoff=20.0),
+        sv.RigidBodyFeatures(SWING),
+        sv.RobotIdentifier(SWING, friction=(), dt=0.01),
     ]
 )
 def test_robot_estimator(estimator, check):

@@ -10,22 +10,7 @@ from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.utils import get_tags
 
-import sklearn_vbjfa
-from sklearn_vbjfa import (
-    EffectDiscovery,
-    InstrumentalVariables,
-    JFARegressor,
-    JointTorqueRegressor,
-    LocallyWeightedRegressor,
-    PhysicalProjector,
-    RigidBodyFeatures,
-    RobotIdentifier,
-    StateEstimator,
-    StepwiseRegressor,
-    TotalLeastSquares,
-    VBJFARegressor,
-    effects,
-)
+import sklearn_vbjfa as sv
 from sklearn_vbjfa.datasets import make_robot_recording
 from tests.effects._arms import arm
 from tests.robot.test_metadata_routing import chain
@@ -47,11 +32,14 @@ def fixture_states():
 def transformers():
     model = arm("YY")
     return {
-        "features": (RigidBodyFeatures(model, friction=("viscous", "offset")), "qva"),
-        "states": (StateEstimator(0.01, cutoff=20.0), "q"),
-        "projector": (PhysicalProjector(), "theta"),
-        "viscous": (effects.Viscous(joint=1), "qva"),
-        "ripple": (effects.Ripple(joint=0), "qva"),
+        "features": (
+            sv.RigidBodyFeatures(model, friction=("viscous", "offset")),
+            "qva",
+        ),
+        "states": (sv.StateEstimator(0.01, cutoff=20.0), "q"),
+        "projector": (sv.PhysicalProjector(), "theta"),
+        "viscous": (sv.effects.Viscous(joint=1), "qva"),
+        "ripple": (sv.effects.Ripple(joint=0), "qva"),
     }
 
 
@@ -95,7 +83,7 @@ def test_state_feature_names_are_checked(states):
     import pandas
 
     positions = states[:, :2]
-    plain = StateEstimator(0.01, cutoff=20.0).fit(positions)
+    plain = sv.StateEstimator(0.01, cutoff=20.0).fit(positions)
     assert plain.get_feature_names_out()[:3].tolist() == ["q_0", "q_1", "v_0"]
     assert plain.get_feature_names_out(["a", "b"])[2] == "v_a"
     with pytest.raises(ValueError, match=r"number of features \(2\), got 3"):
@@ -108,24 +96,24 @@ def test_state_feature_names_are_checked(states):
 
 def estimators():
     """One instance of each estimator, with models as path and as object."""
-    robot = RobotIdentifier(arm("YY"), dt=0.01, friction=("viscous",))
+    robot = sv.RobotIdentifier(arm("YY"), dt=0.01, friction=("viscous",))
     return [
-        EffectDiscovery(robot, effects=["coulomb"]),
-        InstrumentalVariables(),
-        JFARegressor(input_noise=[0.1, 0.2]),
-        JointTorqueRegressor(VBJFARegressor(), projector=PhysicalProjector()),
-        LocallyWeightedRegressor(LinearRegression()),
-        PhysicalProjector(metric=np.eye(22)),
-        RigidBodyFeatures(arm("YY")),
+        sv.EffectDiscovery(robot, effects=["coulomb"]),
+        sv.InstrumentalVariables(),
+        sv.JFARegressor(input_noise=[0.1, 0.2]),
+        sv.JointTorqueRegressor(sv.VBJFARegressor(), projector=sv.PhysicalProjector()),
+        sv.LocallyWeightedRegressor(LinearRegression()),
+        sv.PhysicalProjector(metric=np.eye(22)),
+        sv.RigidBodyFeatures(arm("YY")),
         robot,
-        RobotIdentifier(
-            "arm.urdf", effects=(effects.Coulomb(joint=1),), friction=("viscous",)
+        sv.RobotIdentifier(
+            "arm.urdf", effects=(sv.effects.Coulomb(joint=1),), friction=("viscous",)
         ),
-        StateEstimator(0.01),
-        StepwiseRegressor(),
-        TotalLeastSquares(),
-        VBJFARegressor(input_noise=np.eye(3)),
-        *effects.resolve(),
+        sv.StateEstimator(0.01),
+        sv.StepwiseRegressor(),
+        sv.TotalLeastSquares(),
+        sv.VBJFARegressor(input_noise=np.eye(3)),
+        *sv.effects.resolve(),
     ]
 
 
@@ -136,8 +124,8 @@ def name_of(estimator):
 def test_every_estimator_is_tested():
     public = {
         name
-        for name in sklearn_vbjfa.__all__
-        if hasattr(getattr(sklearn_vbjfa, name), "get_params")
+        for name in sv.__all__
+        if hasattr(getattr(sv, name), "get_params")
     }
     assert public <= {name_of(estimator) for estimator in estimators()}
 
@@ -151,7 +139,7 @@ def test_tags(estimator):
     assert (tags.regressor_tags is not None) != transforms
     assert tags.target_tags.required != transforms
     several = isinstance(
-        estimator, (EffectDiscovery, JointTorqueRegressor, RobotIdentifier)
+        estimator, (sv.EffectDiscovery, sv.JointTorqueRegressor, sv.RobotIdentifier)
     )
     assert tags.target_tags.multi_output == several
     assert not tags.input_tags.allow_nan
@@ -206,7 +194,7 @@ def test_copies(estimator, copy):
 @pytest.mark.parametrize("kind", ["path", "model"])
 def test_fitted_identifiers_are_pickled(recording, kind):
     model = recording.urdf if kind == "path" else recording.robot_model()
-    robot = RobotIdentifier(model, dt=recording.dt, friction=("viscous",))
+    robot = sv.RobotIdentifier(model, dt=recording.dt, friction=("viscous",))
     robot.fit(recording.q, recording.tau, groups=recording.groups)
     loaded = pickle.loads(pickle.dumps(robot))
     np.testing.assert_array_equal(loaded.theta_, robot.theta_)

@@ -122,11 +122,7 @@ def name_of(estimator):
 
 
 def test_every_estimator_is_tested():
-    public = {
-        name
-        for name in sv.__all__
-        if hasattr(getattr(sv, name), "get_params")
-    }
+    public = {name for name in sv.__all__ if hasattr(getattr(sv, name), "get_params")}
     assert public <= {name_of(estimator) for estimator in estimators()}
 
 

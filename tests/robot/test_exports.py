@@ -6,21 +6,6 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier, effects
-from sklearn_vbjfa.effects import (
-    AsymmetricFriction,
-    BaseTilt,
-    Coulomb,
-    CouplingSpring,
-    JointAxis,
-    JointZero,
-    Motion,
-    Offset,
-    RotorInertia,
-    Spring,
-    Stribeck,
-    TorqueGain,
-    Viscous,
-)
 from sklearn_vbjfa.physical import min_eigenvalue
 from sklearn_vbjfa.robot import to_mjcf
 from sklearn_vbjfa.robot._exports import without_place
@@ -32,7 +17,7 @@ from tests.simulation._machines import machine
 
 def torques(robot, states):
     """Torques of a robot by the definition of its effects, one by one."""
-    motion = Motion(
+    motion = effects.Motion(
         **dict(zip("qva", np.split(states, 3, axis=1))), t=0.01 * np.arange(len(states))
     )
     found = rigid(robot.model, robot.bodies, states)
@@ -50,17 +35,17 @@ def test_all_that_mjcf_can_hold_is_exact(tmp_path):
     robot = machine(
         *random_tree(rng, 4, ("RX", "RY", "RZ")),
         effects=[
-            (Viscous(1), [0.4]),
-            (Coulomb(1), [0.7]),
-            (Coulomb(2), [-0.2]),
-            (Offset(0), [1.5]),
-            (Offset(3), [-0.5]),
-            (RotorInertia(2), [0.3]),
-            (Spring(0), [5.0, 2.0]),
-            (Spring(1), [-4.0, 1.0]),
-            (AsymmetricFriction(3), [0.6, 0.0]),
-            (CouplingSpring(1, 3, ratio=-0.7), [6.0, 0.9]),
-            (CouplingSpring(0, 2, ratio=0.4), [-2.0, 0.5]),
+            (effects.Viscous(1), [0.4]),
+            (effects.Coulomb(1), [0.7]),
+            (effects.Coulomb(2), [-0.2]),
+            (effects.Offset(0), [1.5]),
+            (effects.Offset(3), [-0.5]),
+            (effects.RotorInertia(2), [0.3]),
+            (effects.Spring(0), [5.0, 2.0]),
+            (effects.Spring(1), [-4.0, 1.0]),
+            (effects.AsymmetricFriction(3), [0.6, 0.0]),
+            (effects.CouplingSpring(1, 3, ratio=-0.7), [6.0, 0.9]),
+            (effects.CouplingSpring(0, 2, ratio=0.4), [-2.0, 0.5]),
         ],
         friction={
             "viscous": [1.0, 2.0, 3.0, 4.0],
@@ -92,12 +77,12 @@ def robot(moved):
         dt=moved.dt,
         friction=("viscous", "coulomb", "offset", "rotor_inertia"),
         effects=[
-            BaseTilt(),
-            JointZero(2),
-            JointAxis(3),
-            TorqueGain(1),
-            Spring(4),
-            Stribeck(0, vs=0.3),
+            effects.BaseTilt(),
+            effects.JointZero(2),
+            effects.JointAxis(3),
+            effects.TorqueGain(1),
+            effects.Spring(4),
+            effects.Stribeck(0, vs=0.3),
         ],
     )
     return robot.fit(moved.q, moved.tau)
@@ -142,7 +127,7 @@ def test_mujoco_computes_what_predict_does(given, robot, moved, tmp_path):
 
 def test_friction_that_was_found_is_in_the_urdf(moved, tmp_path):
     """What a search adds counts as what was declared."""
-    added = [Coulomb(2), Viscous(3), Coulomb(4)]
+    added = [effects.Coulomb(2), effects.Viscous(3), effects.Coulomb(4)]
     robot = RobotIdentifier(moved.urdf, dt=moved.dt, friction=(), effects=added)
     robot.fit(moved.q, moved.tau)
     path = tmp_path / "identified.urdf"

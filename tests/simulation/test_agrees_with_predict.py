@@ -5,23 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sklearn_vbjfa.effects import (
-    AsymmetricFriction,
-    Backlash,
-    Counterbalance,
-    Coupling,
-    Delay,
-    Drift,
-    LoadFriction,
-    MaxwellSlip,
-    Motion,
-    Ripple,
-    RotorInertia,
-    Spring,
-    Stribeck,
-    TorqueFilter,
-    ViscousQuadratic,
-)
+from sklearn_vbjfa import effects
 from sklearn_vbjfa.simulation import simulate
 from tests.model.test_mjcf import rigid
 from tests.simulation._machines import random_machine, wheel
@@ -30,22 +14,25 @@ from tests.simulation._machines import random_machine, wheel
 def some_effects(rng, nv):
     """Return random effects on random joints."""
     j = int(rng.integers(nv))
-    effects = [
-        (Stribeck(j, 0.2, int(rng.integers(1, 3))), [0.5]),
-        (LoadFriction(j), [0.1]),
-        (AsymmetricFriction(j), [0.2, 0.05]),
-        (ViscousQuadratic(j), [0.02]),
-        (MaxwellSlip(j, (0.0, 0.05, 0.2), (), (0.1, 0.0)), [0.4, 0.5, 0.2, 0.3, 0.2]),
-        (Backlash(j, 0.02), [2.0, 0.1]),
-        (Spring(j), [3.0, 0.2]),
-        (Counterbalance(j), [0.5, -0.3, 0.2, 0.1, 0.3]),
-        (Ripple(j, 0.5), [0.1, 0.2]),
-        (RotorInertia(j), [0.2]),
-        (Drift(j, "viscous", 2.0), [0.2]),
+    drawn = [
+        (effects.Stribeck(j, 0.2, int(rng.integers(1, 3))), [0.5]),
+        (effects.LoadFriction(j), [0.1]),
+        (effects.AsymmetricFriction(j), [0.2, 0.05]),
+        (effects.ViscousQuadratic(j), [0.02]),
+        (
+            effects.MaxwellSlip(j, (0.0, 0.05, 0.2), (), (0.1, 0.0)),
+            [0.4, 0.5, 0.2, 0.3, 0.2],
+        ),
+        (effects.Backlash(j, 0.02), [2.0, 0.1]),
+        (effects.Spring(j), [3.0, 0.2]),
+        (effects.Counterbalance(j), [0.5, -0.3, 0.2, 0.1, 0.3]),
+        (effects.Ripple(j, 0.5), [0.1, 0.2]),
+        (effects.RotorInertia(j), [0.2]),
+        (effects.Drift(j, "viscous", 2.0), [0.2]),
     ]
     if nv > 1:
-        effects.append((Coupling(j, (j + 1) % nv), [0.05, 0.1, 0.01]))
-    return [effects[i] for i in np.flatnonzero(rng.random(len(effects)) < 0.5)]
+        drawn.append((effects.Coupling(j, (j + 1) % nv), [0.05, 0.1, 0.01]))
+    return [drawn[i] for i in np.flatnonzero(rng.random(len(drawn)) < 0.5)]
 
 
 def inverse(robot, states, t):
@@ -54,7 +41,7 @@ def inverse(robot, states, t):
     load = rigid(robot.model, robot.bodies, states)
     declared = dict(zip(robot.friction_names, robot.friction.T))
     tau = load + declared["viscous"] * v + declared["coulomb"] * np.sign(v)
-    motion = Motion(q=q, v=v, a=a, t=t, load=load, torque=load)
+    motion = effects.Motion(q=q, v=v, a=a, t=t, load=load, torque=load)
     for effect, coef in zip(robot.effects, robot.coefficients):
         tau[:, effect.joint] += effect.columns(motion) @ coef
     return tau
@@ -83,25 +70,27 @@ def test_inverse_dynamics_of_simulated_states(seed, nv):
 def filtered(effect, coef, x, t):
     """Return torques x (n,) as measured by a channel."""
     rest = np.zeros((x.size, 1))
-    motion = Motion(q=rest, v=rest, a=rest, t=t, load=x[:, None], torque=x[:, None])
+    motion = effects.Motion(
+        q=rest, v=rest, a=rest, t=t, load=x[:, None], torque=x[:, None]
+    )
     return x + effect.columns(motion) @ coef
 
 
 @pytest.mark.parametrize(
     "effect",
     [
-        Delay(0, 0.004),
-        Delay(0, -0.004),
-        TorqueFilter(0, "lag", "torque", 0.004),
-        TorqueFilter(0, "smooth", "torque", 0.004),
-        TorqueFilter(0, "lag", "position", 0.004),
+        effects.Delay(0, 0.004),
+        effects.Delay(0, -0.004),
+        effects.TorqueFilter(0, "lag", "torque", 0.004),
+        effects.TorqueFilter(0, "smooth", "torque", 0.004),
+        effects.TorqueFilter(0, "lag", "position", 0.004),
     ],
 )
 def test_channel_filters_are_inverted(effect):
     """Errors are of third order in the filter, (2 pi f T)^3, or due to sampling."""
     t, gain = 0.001 * np.arange(2000), 1.3
     x = 2.0 * np.sin(2 * np.pi * 2.0 * t) + 1.0
-    size = effect.delay if isinstance(effect, Delay) else effect.time_constant
+    size = effect.delay if isinstance(effect, effects.Delay) else effect.time_constant
     measured = gain * filtered(effect, np.array([size]), x, t)
     robot = wheel(effects=[(effect, [size])], gains=np.array([gain]), dt=0.001)
     restored = robot.true_torques(measured[:, None], t)[:, 0]

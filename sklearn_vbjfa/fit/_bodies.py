@@ -272,9 +272,7 @@ class _BodyProblem:
         mean[:p], root[:p, :-1] = eigen.solve(right), eigen.inverse_root()
         if not self.fixed_size:
             response = np.append(-eigen.solve(A_centre), 1.0)
-            # Data do not lower the precision; rounding of huge bodies would.
-            precision = max(centre @ A_centre + A_centre @ response[:p], 0.0)
-            precision += DESCRIBED**-2
+            precision = max(A_centre @ (centre + response[:p]), 0.0) + DESCRIBED**-2
             mean += response * (size_product - A_centre @ mean[:p]) / precision
             root[:, -1] = response / np.sqrt(precision)
         return mean, root

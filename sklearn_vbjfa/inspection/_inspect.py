@@ -252,7 +252,8 @@ def inspect_channels(
     for check in () if single else CHECKS:
         check(log)
     log.usable[:, log.still & (not single)] = False
-    if {"copied_position", "shuffled_rows"} & {x.kind for x in log.findings}:
+    refused = {"copied_position", "shuffled_rows"} & {x.kind for x in log.findings}
+    if refused or log.every % 1:
         return findings_in_order(log.findings)
     q, tau, usable = log.q, log.tau, log.usable
     if log.every > 1:

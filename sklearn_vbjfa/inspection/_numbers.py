@@ -121,10 +121,6 @@ FEWEST_REPEATED, REPEATED_SHARE, MANY_REPEATED, CLEARLY_MISSING = 3, 0.002, 0.1,
 # The logger was frozen if this many rows are equal and a joint moves at this share of
 # its usual step over this many samples before and after them.
 FROZEN_ROWS, HELD_SPEED, NEAR_ROWS = 5, 0.1, 3
-# Steps above this multiple of a channel's resolution are not quantisation. The rate of
-# a channel requires this many of them, this share of all steps, and that this share of
-# them is regular.
-STEP, FEWEST_STEPS, STEP_SHARE, SAME_RATE = 4.0, 20, 0.3, 0.8
 # A torque is coarse if its quantisation error exceeds this share of its standard
 # deviation, a warning if its range has fewer levels than this, zero below this [N m or
 # N], and constant if its range is below this share of its maximum.
@@ -160,7 +156,7 @@ DEAD_RUN, DEAD_SHARE, DEAD_NOISE, REPEATED = 50, 0.8, 3.0, 0.005
 # (more are noise); length of the median filter of torques [samples]. Torques are also
 # outliers beyond the second multiple of the 99 % quantile, if none is between both.
 OUTLIER, FEWEST_AROUND, LEAST_JUMP, MOST_OUTLIERS, MEDIAN = 25.0, 16, 0.003, 0.01, 5
-BEYOND = 3.0, 10.0
+BEYOND, FEWEST_STEPS = (3.0, 10.0), 20
 # Derivatives among given states are wrong from this factor on.
 # Torques are the motion times a factor if they agree to `GOOD_FIT` and the factors of
 # all joints to this share (a single torque must equal it to this share). A torque is a

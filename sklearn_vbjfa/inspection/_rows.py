@@ -10,7 +10,7 @@ from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._likelihood import Bodies
 from sklearn_vbjfa.inspection._sentences import finding, percent
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.recording import bridged, rows_alternate
+from sklearn_vbjfa.recording import bridged, rows_alternate, rows_per_sample
 
 
 class Rows:
@@ -92,9 +92,6 @@ def _mask(x, runs):
     return marked
 
 
-# -- order and wraps -------------------------------------------------------------------
-
-
 def shuffled_rows(names, q, parts):
     """Find rows of positions (n, nv) that are out of time order; one error or none."""
     # parts: slices of the recordings.
@@ -172,9 +169,6 @@ def _find_wraps(log, x, turn):
     return jumps[np.abs(remainder[jumps]) <= 3 * typical + 1e-3 * turn]
 
 
-# -- rest and whole rows ---------------------------------------------------------------
-
-
 def still_joints(q, parts):
     """Return which joints are always at rest, up to position noise, (nv,) of bool."""
     pieces = [q[part] for part in parts if part.stop > part.start]
@@ -213,38 +207,22 @@ def _check_held(log):
     # steps look like delay, elasticity, and friction at reversals.
     moving = np.flatnonzero(~log.still)
     for what, channels in (("position", log.q), ("torque", log.tau)):
-        rates = np.array([_update_rate(log, channels[:, j]) for j in moving])
-        joints = moving[rates > 0]
+        pieces = [(np.arange(x.stop - x.start), channels[x]) for x in log.parts]
+        rates = np.array(
+            [max(rows_per_sample(t, x[:, [j]]) for t, x in pieces) for j in moving]
+        )
+        joints = moving[rates > 1]
         if not joints.size:
             continue
-        k = round(float(np.median(rates[rates > 0])))
+        k = float(np.median(rates[rates > 1]))
+        # If it is no integer, speeds vary from row to row.
+        severity = "error" if what == "position" and k % 1 else "warning"
         facts = {"k": k, "late": 500 * (k - 1) * log.dt, "dt": k * log.dt}
-        log.report(f"held_{what}", joints, "warning", what=what, **facts)
+        log.report(f"held_{what}", joints, severity, what=what, **facts)
         if what == "torque":
             log.held[joints] = True
-        elif (rates > 0).all():
-            log.every = k
-
-
-def _update_rate(log, x):
-    """Return the rows per new value of a channel; zero if every row has one."""
-    rates = []
-    for part in log.parts:
-        y = x[part]
-        change = np.flatnonzero(np.diff(y) != 0)
-        if change.size <= number.FEWEST_STEPS:
-            continue
-        steps, gaps = np.abs(y[change + 1] - y[change])[1:], np.diff(change)
-        # A quantised signal is constant where it changes slowly; only held values are
-        # constant before a step of several quanta.
-        fast = steps >= number.STEP * np.quantile(steps, 0.02)
-        if fast.sum() < max(number.FEWEST_STEPS, number.STEP_SHARE * steps.size):
-            continue
-        k = np.median(gaps[fast])
-        # If the ratio of the rates is no integer, gaps differ by a row.
-        regular = (np.abs(gaps[fast] - k) <= 1) & (gaps[fast] >= 2)
-        rates += [k] if regular.mean() >= number.SAME_RATE else []
-    return float(np.median(rates)) if rates else 0.0
+        elif (rates > 1).all() or k % 1:
+            log.every = k if k % 1 else int(k)
 
 
 def _check_lost_rows(log):
@@ -354,9 +332,6 @@ def _report_lost(log, kind, runs, severity):
         good, bad = rows[part][~lost[part]], rows[part][lost[part]]
         for x in (*log.q.T, *log.tau.T) if good.size else ():
             x[bad] = np.interp(bad, good, x[good])
-
-
-# -- torques ---------------------------------------------------------------------------
 
 
 def _check_constant(log):
@@ -515,9 +490,6 @@ def _find_clipped(log, j, x, moving, mean=1):
     return clipped
 
 
-# -- positions -------------------------------------------------------------------------
-
-
 def _check_positions(log):
     stands = _find_standstill(log) if log.every == 1 else None
     for j in np.flatnonzero(~log.still):
@@ -627,9 +599,6 @@ def _jump_findings(names, j, x, jumps, place):
     return [finding("position_jumps", names, j, severity, **facts)]
 
 
-# -- states ----------------------------------------------------------------------------
-
-
 def wrong_states(recording):
     """Find given velocities or accelerations that are no derivatives; one or none."""
     names, parts, dt = recording.joint_names, recording.segments, recording.dt
@@ -685,9 +654,6 @@ def contradicted(recording, errors, size):
     poor = (errors > number.WORST * np.std(tau, axis=0)).any()
     contradicts = far or empty or poor or any(outlying(x).any() for x in tau.T)
     return bool(contradicts or wrong_states(recording))
-
-
-# -- copied channels -------------------------------------------------------------------
 
 
 def _check_copies(log):

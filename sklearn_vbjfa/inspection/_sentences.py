@@ -8,8 +8,8 @@ from sklearn_vbjfa.recording import ChannelFinding, listed_joints
 # the unchanged log, and the factor by which squared torque errors fall. A colon
 # separates a kind from its variant.
 _HELD = (
-    "The {what} of {who} has a new value only every {k} rows: it is late by {late:.3g} "
-    "ms and goes in steps. Keep one row for each new {what} (dt={dt:.6g})."
+    "The {what} of {who} has a new value only every {k:.3g} rows: it is late by "
+    "{late:.3g} ms and goes in steps. Keep one row for each new {what} (dt={dt:.4g})."
 )
 _COPIED = (
     "The {what} of {second} is {factor:.4g} times that of {first} in every row. Log "
@@ -42,36 +42,31 @@ SENTENCES = {
     "at {place}: its integers overflow. Log wider ones, or unwrap it (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "
     "{mean:.4g}, which is its noise. Name the others in --joints, or record it moving.",
-    "still_joint:all": "No joint moves: positions vary by {range:.3g} at most, within "
-    "their noise. Check the position columns.",
-    "repeated_rows": "{count} rows ({share}) equal the row before them in every "
-    "channel, up to {longest} in a row, the first at {place}. Leave them out, and "
-    "split the recording there (groups).",
-    "missing_rows": "At {times} places, the first at {place}, all positions advance by "
-    "two or more of their usual steps: rows are missing. Log the time of each row.",
-    "empty_rows": "All torques are zero in {count} rows ({share}) amid the motion, the "
-    "first at {place}: readings were lost, or two sources were logged together. "
-    "Leave these rows out.",
+    "still_joint:all": "No joint moves: positions vary by {range:.3g}, within their "
+    "noise. Check the position columns.",
+    "repeated_rows": "{count} rows ({share}) repeat the row before them, up to "
+    "{longest} in a row, the first at {place}. Leave them out, keep the time stamps.",
+    "missing_rows": "All positions advance by several steps in a row {times} time(s), "
+    "first at {place}: rows are missing. Log the time of each row.",
+    "empty_rows": "All torques are zero in {count} rows ({share}) amid the motion, "
+    "first at {place}: lost readings, or two sources in one log. Leave these rows out.",
     "empty_rows:off": "All torques are zero {times} time(s), first from {place} on, "
     "for up to {seconds:.3g} s, though links have weight: drives were off, or readings "
     "were lost. Leave these rows out.",
     "held_position": _HELD,
     "held_torque": _HELD,
-    "constant_torque": "The torques of {who} are constant ({values}) while the "
-    "joints move: nothing was measured there. Log the torques or currents, or lock "
-    "the joints in the model.",
+    "constant_torque": "The torques of {who} are constant ({values}) while the joints "
+    "move: nothing was measured. Log torques or currents, or lock these joints.",
     "coarse_torque": "The torque of {who} goes in steps of {step:.3g} and has a spread "
     "of {spread:.3g}: it is coarse. Record it finer, or leave the joint out.",
     "torque_dropouts": "The torque of {who} stays at {level:.4g} {times} time(s) while "
-    "the robot moves ({share} of its samples, up to {seconds:.3g} s): readings were "
-    "lost. Leave these rows out.",
+    "the robot moves ({share}, up to {seconds:.3g} s): lost readings. Leave them out.",
     "torque_outliers": "The torque of {who} has {count} outlier(s) ({share} of its "
     "samples), the first at {place}. Leave these rows out.",
     "clipped_torque": "The torque of {who} is clipped at {where}: {share} of its "
     "samples lie there, up to {longest} in a row. Record a slower motion.",
-    "stuck_position": "The position of {who} stays at {level:.4g} for {longest} rows "
-    "({seconds:.3g} s), without the noise or the braking of a stop ({count} rows in "
-    "all, the first at {place}): the encoder was stuck. Leave these rows out.",
+    "stuck_position": "The position of {who} stays at {level:.4g} for {seconds:.3g} s "
+    "({count} rows, the first at {place}): the encoder was stuck. Leave them out.",
     "position_jumps": "The position of {who} jumps {count} time(s), first {step:.3g} "
     "at {place}. Split the recording there (groups), or leave wrong samples out.",
     "copied_position": _COPIED,

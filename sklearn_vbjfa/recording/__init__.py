@@ -39,7 +39,7 @@ _MODULES = {
         "take_rows",
         "with_torques_shifted",
     ),
-    "_clock": ("check_time_stamps", "inspect_time_stamps", "rows_alternate"),
+    "_clock": ("check_time_stamps", "rows_alternate", "rows_per_sample"),
     "_grid": ("Log", "interpolate", "join"),
     "_table": ("RecordingRefused", "listed", "quoted"),
     "formats": ("expand", "recordings_in"),

@@ -189,7 +189,48 @@ def rows_alternate(q):
     return bool(moving) and any((step > _ALTERNATING * x).all() for x in others)
 
 
-# -- stamps of arrays ------------------------------------------------------------------
+# Samples of a window over which a slower source is regular, share of such windows,
+# least difference of its period from whole rows, and least factor of its typical step
+# over the smallest one (a coarse encoder has one step).
+_SAMPLES, _REGULAR, _BEAT, _STEP = 32, 0.9, 0.05, 4.0
+
+
+def rows_per_sample(t, q):
+    """Return the rows (n, m) per sample of a slower regular source; 1 without one."""
+    # t (n,): times of the rows; q: channels of the source, which is ahead of them.
+    size, step = np.abs(np.diff(q, axis=0)), np.diff(t)
+    new = np.r_[0, 1 + np.flatnonzero((size > 0).any(axis=1))]
+    if not 3 * _SAMPLES < new.size < t.size or step.min() <= 0:
+        return 1.0
+    first, last = new[:-_SAMPLES], new[_SAMPLES:]
+    travel = np.abs(q[last] - q[first]).max(axis=1)
+    # At rest, samples may be equal.
+    span = (t[last] - t[first])[travel >= np.median(travel)] / np.median(step)
+    rows, size = span.mean() / _SAMPLES, np.ma.masked_equal(size, 0)
+    regular = np.abs(span - _SAMPLES * rows) <= 1 + STEADY
+    fine = (np.ma.median(size, axis=0) > _STEP * size.min(axis=0)).any()
+    known = fine and rows > 1 + _BEAT and regular.mean() >= _REGULAR
+    return float(rows if abs(rows - np.rint(rows)) > _BEAT else np.rint(rows)) ** known
+
+
+def source_samples(t, q):
+    """Find the samples of a regular source in rows (n, nv) that repeat some of them."""
+    # Returns the first row of each sample, its time and the period of the source, or
+    # None if each row, or each k-th, has new positions.
+    rate = rows_per_sample(t, q)
+    if not rate % 1:
+        return None
+    row = np.median(np.diff(t))
+    new = np.r_[0, 1 + np.flatnonzero((np.diff(q, axis=0) != 0).any(axis=1))]
+    # If positions stay equal, rows are taken at the same rate.
+    number = np.ceil((np.diff(t[new], append=t[-1]) / row - 1) / rate - STEADY)
+    number = np.maximum(number, 1).astype(int)
+    offset = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+    times = np.repeat(t[new], number) + (rate * offset - STEADY) * row
+    rows, index = np.unique(np.searchsorted(t, times), return_index=True)
+    period = np.polyfit(index, t[rows], 1)[0]
+    return rows, t[0] + period * index, period
+
 
 # Relative error of the period that is refused, but at least one row per recording:
 # accelerations change with its square. The second is a relative tolerance of steps.
@@ -224,8 +265,6 @@ def check_time_stamps(t, dt, parts):
                 stacklevel=3,
             )
 
-
-# -- invalid rows ----------------------------------------------------------------------
 
 # Maximum share of rows with missing values that are dropped.
 _MAX_HOLES = 0.1
@@ -325,8 +364,6 @@ def _second_source_rows(q, tau):
     moves = (q[ends[:, 1]] != q[ends[:, 0] - 1]).any(axis=1)
     return zero if moves.mean() >= 0.5 else no_rows
 
-
-# -- the column of time ----------------------------------------------------------------
 
 _DAY = 86400 * 10**9  # [ns]
 # Rows are static poses if the mean squared step exceeds this share of the variance.

@@ -17,6 +17,7 @@ from sklearn_vbjfa.recording._clock import (
     inspect_time_stamps,
     nanoseconds,
     prediction_errors,
+    source_samples,
 )
 from sklearn_vbjfa.recording._drives import COMMANDS
 from sklearn_vbjfa.recording._recording import contiguous_groups
@@ -252,10 +253,17 @@ def _segments(file, name):
         )
     for label, part in zip(names, parts):
         rows = np.arange(part.start, part.stop)[~repeated[part]]
-        t, positions = file.t[rows], file.channels["q"][rows]
+        t, dt, positions = file.t[rows], file.dt, file.channels["q"]
+        if source := source_samples(t, positions[rows]):
+            first, t, period = source
+            file.notes.append(
+                f"{rows.size - first.size} row(s) repeat samples of a source with a "
+                f"period of {period:.4g} s: left out."
+            )
+            rows, dt = rows[first], None
         try:
             stamps = inspect_time_stamps(
-                t, file.dt, lambda k, rows=rows: file.where(rows[k]), positions
+                t, dt, lambda k, rows=rows: file.where(rows[k]), positions[rows]
             )
         except ValueError as error:
             raise ValueError(f"{file.path}: {error}") from None

@@ -257,9 +257,8 @@ def read_recording(
         as ``"pd kp=20,20,40 kd=1,1,2"`` (``docs/drives.rst``). The columns of its
         channels, such as q_desired1 ..., replace those of the torques.
     join : bool, default=False
-        Whether several files are one recording, such as positions.csv and torques.csv,
-        at the time stamps of the positions. A folder is joined if fewer than two of its
-        files can be read alone.
+        Whether files are one recording, such as positions.csv and torques.csv, at the
+        stamps of the positions; default for a folder with less than two full files.
 
     Returns
     -------
@@ -275,10 +274,9 @@ def read_recording(
     ImportError
         If pandas, or a package that the format needs, is missing.
     ValueError
-        If a file is damaged or written to while it is read, channels are missing or
-        ambiguous, a value is not finite, time is missing or contradicts `dt`, or
-        several files do not agree. Where other options would read the file, the
-        attribute ``options`` has them.
+        If a file is damaged or changes while it is read, channels are missing or
+        ambiguous, a value is not finite, or time, `dt` and files contradict each
+        other. Its attribute ``options`` has options that would read the file.
 
     Warns
     -----

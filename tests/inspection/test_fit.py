@@ -74,6 +74,9 @@ def test_fit_warns_of_rows_without_torques_and_of_a_stuck_encoder(recording):
     q[len(q) // 2 :, 1] = q[len(q) // 2, 1]
     messages = warned(recording, q, recording.tau)
     assert any("encoder was stuck" in x for x in messages)
+    rows = (np.floor(np.arange(len(q)) / 1.6) * 1.6).astype(int)
+    messages = warned(recording, recording.q[rows], recording.tau)
+    assert any("a new value only every 1.6 rows" in x for x in messages)
 
 
 def test_fit_warns_of_a_single_outlier_and_of_some_in_a_row(recording):

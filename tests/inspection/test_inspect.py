@@ -182,7 +182,7 @@ def test_frozen_positions(arm):
     start = fast[fast > 1000][0]
     q[start : start + 20, 2] = q[start, 2]
     message = only(inspect(arm, q=q), "stuck_position", (2,), "note")
-    assert "for 20 rows (0.1 s)" in message
+    assert "for 0.1 s (20 rows" in message
     assert f"the first at row {start})" in message
 
 

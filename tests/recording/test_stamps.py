@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.recording import inspect_time_stamps, read_recording
+from sklearn_vbjfa.recording import read_recording
+from sklearn_vbjfa.recording._clock import inspect_time_stamps
 from tests.benchmarks._protocols import protocols
 from tests.recording._reading import read_text
 
@@ -100,14 +101,12 @@ def test_noise_is_measured_before_interpolation(tmp_path):
     left = np.quantile(left, 0.25, axis=0) / 0.3186 / np.sqrt(252)
     assert (left < 0.85 * sigma).all()
     steady, notes = save(tmp_path / "b.npz", DT * np.arange(N), motion(t), tau)
-    assert steady.torque_noise is None
-    assert notes == ""
+    assert (steady.torque_noise, notes) == (None, "")
 
 
 def test_rows_with_repeated_stamps_are_skipped(tmp_path):
-    rng = np.random.default_rng(6)
+    rng, t = np.random.default_rng(6), DT * np.arange(N)
     rows = np.sort(np.r_[np.arange(N), rng.choice(N, 60, replace=False)])
-    t = DT * np.arange(N)
     tau = rng.standard_normal((N, 2))
     recording, notes = save(tmp_path / "a.npz", t[rows], motion(t[rows]), tau[rows])
     assert "60 row(s) have the stamp of the one before: left out" in notes
@@ -118,6 +117,17 @@ def test_rows_with_repeated_stamps_are_skipped(tmp_path):
     bursts = t[np.arange(N) // 8 * 8] + np.arange(N) % 8 * 1e-4
     with pytest.raises(ValueError, match=r"come in bursts.* give dt \(0\.00\d* s"):
         save(tmp_path / "c.npz", bursts, motion(t), tau)
+
+
+@pytest.mark.parametrize("rows", [1.1, 1.6, 2.5])
+def test_rows_that_repeat_samples_of_a_slower_source_are_left_out(tmp_path, rows):
+    sample = np.floor(np.arange(N) / rows + 1e-9)
+    q, tau = motion(rows * DT * sample), np.sin(np.outer(np.arange(N), [1, 2]))
+    recording, notes = save(tmp_path / "a.npz", DT * np.arange(N), q, tau)
+    assert "row(s) repeat samples of a source with a period of" in notes
+    assert recording.dt == pytest.approx(rows * DT, rel=1e-4)
+    expected = motion(rows * DT * np.arange(len(recording.q)))
+    np.testing.assert_array_less(np.abs(recording.q - expected), 1e-9)
 
 
 def test_random_time_steps_are_refused():
@@ -176,8 +186,7 @@ def test_measured_recordings(name, measured_data_home, tmp_path):
     data = protocol.load(data_home=measured_data_home)
     sizes = np.bincount(data.groups)
     t = data.dt * np.concatenate([np.arange(n) for n in sizes])
-    rng = np.random.default_rng(0)
-    common = {"segment": data.groups}
+    rng, common = np.random.default_rng(0), {"segment": data.groups}
     recording, notes = save(tmp_path / "a.npz", t, data.q, data.tau, **common)
     assert notes == ""
     np.testing.assert_array_equal(recording.q, data.q)
@@ -195,9 +204,7 @@ def test_measured_recordings(name, measured_data_home, tmp_path):
         jitter = np.clip(0.3 * rng.standard_normal(steps.size), -0.4, 0.4)
         rows.append(start + steps + np.rint(5 * jitter).astype(int))
     rows = np.concatenate(rows)
-    common = {"segment": data.groups[rows]}
-    recording, notes = save(
-        tmp_path / "c.npz", t[rows], data.q[rows], data.tau[rows], **common
-    )
+    kept = (x[rows] for x in (t, data.q, data.tau))
+    recording, notes = save(tmp_path / "c.npz", *kept, segment=data.groups[rows])
     assert "the positions say that the robot was sampled at these times" in notes
     assert recording.dt == pytest.approx(5 * data.dt, rel=0.01)

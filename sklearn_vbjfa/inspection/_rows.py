@@ -536,7 +536,7 @@ def _find_stuck(log, j, stands):
         ends = speed[max(a - 1, part.start) : a + 1], speed[b + 1 : part.stop][:2]
         sudden = np.concatenate(ends).max(initial=0.0) > fast
         # If all joints stop together, the robot pauses.
-        pauses = stands[a + 3 : b - 1, others].all(axis=0).any()
+        pauses = stands[a + 3 : b - 1, others].all(axis=1).any()
         other = n_repeats - repeats[a : b + 1].sum()
         dead = noisy and b - a > number.DEAD_RUN and other < number.REPEATED * len(x)
         dead = dead and repeats[a : b + 1].mean() > number.DEAD_SHARE

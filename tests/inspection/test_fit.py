@@ -66,14 +66,14 @@ def test_units_of_positions_come_before_the_size_of_torques(factor, amplitude, p
     assert "--" not in str(caught[0].message)
 
 
-def test_fit_warns_of_rows_without_torques_and_of_a_stuck_encoder(recording):
+def test_fit_warns_of_rows_without_torques_and_of_stuck_encoders(recording):
     q, tau = recording.q.copy(), recording.tau.copy()
     tau[::3] = 0.0
     (message,) = warned(recording, recording.q, tau)
     assert "All torques are zero in 1334 rows" in message
-    q[len(q) // 2 :, 1] = q[len(q) // 2, 1]
+    q[len(q) // 2 :, :2] = q[len(q) // 2, :2]
     messages = warned(recording, q, recording.tau)
-    assert any("encoder was stuck" in x for x in messages)
+    assert sum("encoder was stuck" in x for x in messages) == 2
     rows = (np.floor(np.arange(len(q)) / 1.6) * 1.6).astype(int)
     messages = warned(recording, recording.q[rows], recording.tau)
     assert any("a new value only every 1.6 rows" in x for x in messages)

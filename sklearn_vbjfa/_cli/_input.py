@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import shlex
 import tempfile
+import warnings
 from pathlib import Path
 
 from sklearn_vbjfa import datasets
@@ -109,7 +110,8 @@ def checked(arguments, options):
         other = parse(shlex.split(command_line(arguments, options))[3:])
         assumed = "unknown" if other.command == "inspect" else None
         try:
-            with tempfile.TemporaryDirectory() as folder:
+            with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+                warnings.simplefilter("ignore")
                 load(other, Path(folder), assumed=assumed)
             break
         except ValueError as error:

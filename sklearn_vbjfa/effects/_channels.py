@@ -186,7 +186,9 @@ class TorqueFilter(OfChannel):
         self.of = of
         self.time_constant = time_constant
 
-    corner = property(lambda self: _FILTERS[self.kind][1] / self.time_constant)
+    @property
+    def corner(self):
+        return _FILTERS[self.kind][1] / self.time_constant
 
     def natural(self, coef):
         # The gain of a filter is at most 1 at all frequencies.

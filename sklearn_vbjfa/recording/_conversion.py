@@ -245,7 +245,8 @@ def read_rows(table, options) -> FileRows:
     # Messages of other joints, such as those of a gripper, do not count.
     others = {x.key for x in layout.select(*options.kinds) if isinstance(x.key, str)}
     others = others.difference(robot.names or others)
-    used = replace(layout, roles=[x for x in layout.roles if x.key not in others])
+    roles = tuple(x for x in layout.roles if x.key not in others)
+    used = replace(layout, roles=roles)
     table = merge_sources(table, used, notes)
     table, rows = remove_odd_rows(table, used, options, notes)
     roles, names = _sort_roles(table, layout, options, robot, notes)

@@ -131,8 +131,6 @@ class Candidates:
         self.least = float(logit(settings.min_probability))
         self._cache = {}
 
-    # -- one effect -------------------------------------------------------------------
-
     def candidate(self, fit, family, excess=None):
         """Return the best shape of a family given a fit as a `Candidate`, or None."""
         # Rivals are within `rivals` nats; noise spectra use one candidate per joint.
@@ -201,8 +199,6 @@ class Candidates:
             if family.effects[0].name == member.effect.name:
                 return len(family.effects)
         return 1
-
-    # -- one joint --------------------------------------------------------------------
 
     def on(self, fit, joint):
         """Return the candidates on a joint given a fit, list."""
@@ -292,8 +288,6 @@ class Candidates:
                 best = max(best, candidate.order)
         discounted = [c for c in discounted if c.order > best - margin - 1e-9]
         return sorted(discounted, key=lambda c: -c.order)
-
-    # -- members of the model ---------------------------------------------------------
 
     def rivals(self, fit, i):
         """Return candidates that could replace a member, the best first."""

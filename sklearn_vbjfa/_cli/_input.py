@@ -104,9 +104,11 @@ def naming_input(arguments):
 
 def checked(arguments, options):
     """Return options that read a log, with those of later errors, or {}."""
-    # Standard input cannot be read again; `out` does not concern reading.
-    fixed = not arguments.urdf or {"-", "out"} & {*arguments.recording, *options}
-    while options and not fixed:
+    # Standard input cannot be read again, `out` does not concern reading, `simulate`
+    # reads with the options of a report.
+    urdf = getattr(arguments, "urdf", None)
+    fixed = {"-", "out"} & {*arguments.recording, *options}
+    while options and urdf and not fixed:
         other = parse(shlex.split(command_line(arguments, options))[3:])
         assumed = "unknown" if other.command == "inspect" else None
         try:

@@ -65,9 +65,6 @@ class AlikeValue:
         return replace(self, value=float(theta[list(self.places)].mean()))
 
 
-# -- groups of joints with the same drive ----------------------------------------------
-
-
 def alike_joints(settings):
     """Return groups of joints with the same drive, pairs of name and joints."""
     alike = settings.fit_options.alike
@@ -132,9 +129,6 @@ def _join(names):
     return "/".join([*names[:2], "..."] if len(names) > 2 else names)
 
 
-# -- shared values ---------------------------------------------------------------------
-
-
 def _shared_values(groups, robot, std):
     """Return group, parameter and indices of the values that joints share."""
     # Only drive parameters that depend neither on direction nor on position. std (p,):
@@ -163,9 +157,6 @@ def _shared_values(groups, robot, std):
             if index.size > 1:
                 values.append((name, key[0], index))
     return values
-
-
-# -- partial pooling -------------------------------------------------------------------
 
 
 @functools.cache
@@ -362,8 +353,6 @@ def _rotor_references(result, robot):
         used &= ~certain
     return indices[used], references[used]
 
-
-# -- variance between recordings, by their moments -------------------------------------
 
 # Expected relative variation of drive parameters between recordings: scale of a
 # half-Cauchy distribution, as for bodies. Grid of scales for integration; the largest

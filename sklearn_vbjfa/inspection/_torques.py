@@ -1,6 +1,7 @@
 """Hypotheses on torques: signs, scale, noise; torques that were not measured."""
 
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -116,7 +117,25 @@ def missing_weight(reading):
     # Without gravity, or with the described weight subtracted.
     robot, subtracted = reading.robot.floating, copy(reading.robot)
     subtracted.described = robot.described
-    return most_probable(common_scale(reading, x) for x in (robot, subtracted))
+    best = most_probable(common_scale(reading, x) for x in (robot, subtracted))
+    if best is None:
+        return None
+    # Or in another unit, with a weight that pulls in another direction.
+    columns = np.dstack([reading.robot.unit_weights, robot.described])
+    settings = {"mean": np.zeros_like(robot.described), "spread": best.value}
+    fit = robot.fit(columns=columns, **settings)
+    unit = max(float(np.linalg.norm(fit.factors[:3])), 1e-300)
+    error = number.INTERVAL * float(fit.errors[:3].max()) / unit
+    X = reading.robot.under_gravity(fit.factors[:3] / unit)
+    turned = robot.fit(X, mean=unit * (X @ robot.bodies.parameters), spread=unit)
+    odds = turned.evidence - reading.robot.baseline.evidence
+    if odds < best.log_odds + number.RIVAL or error > 1:
+        return best
+    low, high = unit * np.exp([-error, error])
+    facts = best.facts | {"factor": unit, "low": low, "high": high, "gain": 1 / unit}
+    options = {"kind": "torque_unit", "severity": "warning", "facts": facts}
+    change = Change(torques=times(reading.nv, 1 / unit))
+    return replace(best, change=change, value=unit, log_odds=odds, **options)
 
 
 def common_scale(reading, weightless=None):

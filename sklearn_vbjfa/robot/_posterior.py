@@ -25,9 +25,6 @@ _ROUNDING = 1e-14
 _HALVINGS = 70
 
 
-# -- from recording to recording -------------------------------------------------------
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BetweenRecordings:
     """Scatter of the parameters from one recording to another."""
@@ -49,9 +46,6 @@ class BetweenRecordings:
     def std(self):
         """Root mean square deviations (k,)."""
         return np.sqrt((self.weights * self.deviations**2).sum(axis=0))
-
-
-# -- intervals -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,9 +81,6 @@ class Marginal:
             log_weights = np.log(self.weights)[:, None]
         z = (self.centre - x) / self.deviations[:, None]
         return logsumexp(log_weights + log_ndtr(z), axis=0)
-
-
-# -- the posterior ---------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -269,9 +260,6 @@ def seed_of(random_state):
     return int(check_random_state(random_state).randint(2**31 - 1))
 
 
-# -- draws -----------------------------------------------------------------------------
-
-
 def _spectrum(covariance):
     """Eigenvalues and eigenvectors of the correlations, and the deviations."""
     size = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
@@ -290,8 +278,6 @@ def covariance_inverse(covariance):
     inverse = scaled @ axes.T / np.outer(size, size)
     return inverse * np.outer(moves, moves)
 
-
-# -- which parameters are measured -----------------------------------------------------
 
 # A mass is known if its deviation, with the change by projection, is below this share.
 _KNOWN = 0.5

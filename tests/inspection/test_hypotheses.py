@@ -229,12 +229,13 @@ def built(axes, gravity=(0.0, 0.0, -9.81), *, seed=2, perturbation=0.1):
 
 def test_prismatic_joints_show_missing_or_rotated_gravity():
     for axes in (SCARA, GANTRY):
-        model, made, weight, _ = built(axes)
-        kinds, _ = faults_of((made, model, weight), tau=made.tau - weight)
-        assert kinds == ["no_gravity"]
+        model, made, w, _ = built(axes)
+        assert faults_of((made, model, w), tau=made.tau - w)[0] == ["no_gravity"]
     *made, tau = built(GANTRY, (6.0, 5.0, -6.0))
-    kinds, _ = faults_of((made[1], model, weight), tau=tau)
-    assert kinds == ["base_orientation"]
+    assert faults_of((made[1], model, w), tau=tau)[0] == ["base_orientation"]
+    model, made, weight, tau = built(PALLETISER, (0.0, 0.0, 9.81), perturbation=0)
+    kinds = ["base_orientation", "torque_unit"]
+    assert faults_of((made, model, weight), tau=10 * tau)[0] == kinds
 
 
 @pytest.mark.parametrize("gravity", [(-7.8, 6.0, 0.1), (9.81, 0.0, 0.0)])
@@ -247,8 +248,8 @@ def test_base_orientation_with_an_unloaded_prismatic_joint(gravity):
 @pytest.mark.parametrize(("axes", "unit"), [(PALLETISER, 1), (SEVEN, 100)])
 def test_missing_gravity_is_not_reported_as_wrong_sample_period(axes, unit):
     model, made, weight, _ = built(axes, seed=3, perturbation=0.3)
-    kinds, _ = faults_of((made, model, weight), tau=unit * (made.tau - weight))
-    assert kinds == ["no_gravity"]
+    tau = unit * (made.tau - weight)
+    assert faults_of((made, model, weight), tau=tau)[0] == ["no_gravity"]
 
 
 def test_swapped_positions_of_prismatic_and_revolute_joints():

@@ -78,9 +78,12 @@ def weight_factor(reading):
     facts |= {"gain": 1 / factor, "heavy": np.abs(robot.weight[:, loaded]).max()}
     fit, options = robot.fit(robot.under_gravity(gravity)), {"joints": tuple(loaded)}
     odds, fall = fit.evidence - robot.baseline.evidence, fit.fall(robot.baseline)
+    # A factor of a single joint is that of its own load.
+    if np.sort(robot.baseline.loss - fit.loss)[-2:].min() < number.CLEAR:
+        return None
     options |= {"log_odds": odds, "severity": "warning" if size < most else ""}
-    options |= {"fall": fall, "clear": fall >= number.CLEAR * len(loaded)}
-    return Proposal(change=Change(gravity=9.81 * gravity), facts=facts, **options)
+    options |= {"fall": fall, "change": Change(gravity=9.81 * gravity)}
+    return Proposal(facts=facts, **options)
 
 
 def unloaded_slides(reading):

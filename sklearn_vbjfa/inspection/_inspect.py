@@ -354,14 +354,13 @@ def _apply_hypotheses(reading):
                     break
         else:
             break
-        # At equal errors only the prior of the bodies decides, which is uncertain.
-        near = number.RIVAL, number.FAR_ODDS
-        rivals = [
-            (match.kind or rival.name).partition(":")[0]
-            for rival, (match, other_odds) in proposed
-            if rival is not hypothesis
-            and odds - other_odds < near[bool(0 < candidate.fall < match.fall + 1)]
-        ]
+        rivals = []
+        for rival, (match, other_odds) in proposed:
+            # At equal errors only the prior of the bodies decides, which is uncertain.
+            equal = 0 < candidate.fall < match.fall + 1
+            most = number.FAR_ODDS if equal else number.RIVAL
+            if rival is not hypothesis and odds - other_odds < most:
+                rivals.append((match.kind or rival.name).partition(":")[0])
         findings.append(hypothesis.finding(reading, candidate, odds, rivals))
         if after is None:
             return findings, None

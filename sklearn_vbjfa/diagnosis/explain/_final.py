@@ -57,24 +57,26 @@ class EffectEstimate:
 class FinalFit:
     """A completed model, and the equations it was fitted to."""
 
-    # declared, identifier: the declared and the completed model; view: first of the
-    # search, then of the robot model as corrected by effects; effects: the added ones,
-    # in the order of the last parameters; share: of the fitted rows in the view.
+    # view: first of the search, then of the robot model as corrected by effects;
+    # effects: the added ones, in the order of the last parameters; added: their columns
+    # (m, nv, k); share: of the fitted rows in the view.
 
     def __init__(self, declared, identifier, view, share=1.0):
-        self.declared, self.identifier, self.share = declared, identifier, share
+        self.identifier, self.share = identifier, share
         self.effects = list(identifier.effects_[len(declared.effects_) :])
         excluded = excluded_columns(identifier.features_, identifier.effects_)
-        at = declared.theta_.size
+        self._n_declared = n = declared.theta_.size
         # Other effects change the values of the declared ones.
         view = view.corrected(identifier.effects_)
-        self.view = view.without([i for i in excluded if i < at])
+        self.view = view.without([i for i in excluded if i < n])
         load = identifier.robot_.load_parameters
         self.motion = view.motion_of(load, self.effects)
-        self._columns = [self.in_equations(e) for e in self.effects]
-        for Phi in self._columns:
-            Phi[:, :, [i - at for i in excluded if 0 <= i - at < Phi.shape[2]]] = 0.0
-            at += Phi.shape[2]
+        columns = [np.empty((*view.equations.tau.shape, 0))]
+        columns += [self.in_equations(e) for e in self.effects]
+        edges = itertools.pairwise(np.cumsum([x.shape[2] for x in columns]))
+        self._places = [slice(*ends) for ends in edges]
+        self.added = np.concatenate(columns, axis=2)
+        self.added[:, :, [i - n for i in excluded if i >= n]] = 0.0
 
     def in_equations(self, effect):
         """Return columns (m, nv, k) of an effect, for the completed model's load."""
@@ -82,20 +84,13 @@ class FinalFit:
 
     def columns(self):
         """Return the regressor of the completed model, (m, nv, p)."""
-        return np.concatenate([self.view.equations.Phi, *self._columns], axis=2)
-
-    def _effect_coefs(self, theta):
-        """Return the coefficients of each effect, from all parameters."""
-        widths = [columns.shape[2] for columns in self._columns]
-        theta = theta[self.declared.theta_.size :]
-        return np.split(theta, np.cumsum(widths)[:-1]) if widths else []
+        return np.concatenate([self.view.equations.Phi, self.added], axis=2)
 
     def predicted(self, theta):
         """Predict torques of the completed model for some parameters, (m, nv)."""
         theta = self.identifier.robot_.linear_part(theta)
-        declared = self.view.equations.torques(theta[: self.declared.theta_.size])
-        pairs = zip(self._columns, self._effect_coefs(theta))
-        return sum((columns @ coef for columns, coef in pairs), declared)
+        declared, coef = np.split(theta, [self._n_declared])
+        return self.view.equations.torques(declared) + self.added @ coef
 
     @functools.cached_property
     def effect_estimates(self):
@@ -105,33 +100,32 @@ class FinalFit:
         # with derivatives with respect to shape parameters as further columns.
         if not self.effects:
             return []
-        coefs = self._effect_coefs(self.identifier.theta_)
-        shapes = [tuple(n for n in e.continuous if getattr(e, n)) for e in self.effects]
-        extra = []
-        for effect, Phi, coef, shape in zip(self.effects, self._columns, coefs, shapes):
+        n, extra, shapes = self._n_declared, [], []
+        for effect, at in zip(self.effects, self._places):
+            Phi, coef = self.added[:, :, at], self.identifier.theta_[n:][at]
             # Elements at their bound of zero do not exist.
-            Phi = Phi * (coef > 0) if isinstance(effect, Bank) else Phi
-            derivatives = [self._derivative(effect, name, coef) for name in shape]
-            extra.append(np.concatenate([Phi, *derivatives], axis=2))
+            extra.append(Phi * (coef > 0) if isinstance(effect, Bank) else Phi)
+            shapes.append(tuple(x for x in effect.continuous if getattr(effect, x)))
+            extra += [self._derivative(effect, name, coef) for name in shapes[-1]]
+        widths = [at.stop - at.start + len(x) for at, x in zip(self._places, shapes)]
         variance = self._block_variance(np.concatenate(extra, axis=2))
         # The variance is inversely proportional to the number of fitted rows.
         covariance = self.share * variance.scores.T @ variance.scores
-        edges = np.cumsum([self.view.Z.shape[2], *(x.shape[2] for x in extra)])
-        of_prior, at = self._prior_covariance(), self.declared.theta_.size
+        of_prior = self._prior_covariance()[n:, n:]
         estimator = self.identifier.robot_.plan.state_estimator
         noise = np.sqrt(getattr(estimator, "noise_variance_", np.zeros(self.view.nv)))
-        estimates = []
-        for i, (a, b) in enumerate(itertools.pairwise(edges)):
+        estimates, b = [], self.view.Z.shape[2]
+        for i, (effect, at) in enumerate(zip(self.effects, self._places)):
+            a, b = b, b + widths[i]
             # Degrees of freedom of columns that are not excited are nan.
             freedom = np.fmin.reduce(variance.freedom[a:b], initial=np.inf)
-            block = slice(at, at := at + coefs[i].size)
             estimate = EffectEstimate(
-                coef=coefs[i],
+                coef=self.identifier.theta_[n:][at],
                 shape=shapes[i],
                 covariance=covariance[a:b, a:b],
                 freedom=float(freedom),
-                of_prior=of_prior[block, block],
-                position_noise=noise[self.effects[i].joint],
+                of_prior=of_prior[at, at],
+                position_noise=noise[effect.joint],
             )
             estimates.append(replace(estimate, forms=self._forms(i, estimate)))
         return estimates
@@ -156,8 +150,9 @@ class FinalFit:
         )
         return (((above - below) @ coef) / step)[:, :, None]
 
-    def _scaled_residual(self):
-        """Return standardised residuals (m, nv), factors (nv,) and coefficients."""
+    @functools.cached_property
+    def _scaled(self):
+        """Coefficients of effects, standardised residuals (m, nv), factors (nv,)."""
         # Without bounds, nearly collinear elements of a bank cancel each other.
         bounded = any(isinstance(effect, Bank) for effect in self.effects)
         robot, view = self.identifier, self.view
@@ -165,9 +160,9 @@ class FinalFit:
         residual = (view.equations.tau - self.predicted(theta)) * view.root
         count, squares = view.equations.weight.sum(axis=0), (residual**2).sum(axis=0)
         factor = np.sqrt(np.where(squares > 0, count / or_one(squares), 0.0))
-        return residual * factor, factor, self._effect_coefs(theta)
+        return theta[self._n_declared :], residual * factor, factor
 
-    def _branches(self, extra, factor):
+    def _branches(self, extra):
         """Yield joints with common columns, these, and their scaled rows (m, nj, k)."""
         # extra (m, nv, q): further columns; rows are scaled like the residuals.
         Z, extra = self.view.Z, extra * self.view.root[:, :, None]
@@ -176,47 +171,47 @@ class FinalFit:
             declared, further = np.split(columns, np.searchsorted(columns, Z.shape[2:]))
             rows = [Z[joints[:, None], :, declared].transpose(2, 0, 1)]
             rows.append(extra[:, joints][:, :, further - Z.shape[2]])
-            yield joints, columns, np.concatenate(rows, axis=2) * factor[joints, None]
+            rows = np.concatenate(rows, axis=2) * self._scaled[2][joints, None]
+            yield joints, columns, rows
 
     def _block_variance(self, extra):
         """Estimate the variance from blocks, for columns (m, nv, q) of effects."""
-        residual, factor, _ = self._scaled_residual()
         keys, label = _blocks(self.view)
         parts, n = [], self.view.Z.shape[2] + extra.shape[2]
         scores = np.zeros((len(keys), n))
-        for joints, columns, rows in self._branches(extra, factor):
-            grams = np.zeros((len(keys), columns.size, columns.size))
-            for k in range(len(keys)):
-                block = label == k
-                block_rows = rows[block].reshape(-1, columns.size)
-                grams[k] = block_rows.T @ block_rows
-                scores[k, columns] = residual[block][:, joints].ravel() @ block_rows
-            parts.append((columns, grams))
+        for joints, columns, rows in self._branches(extra):
+            rows = np.dstack([rows, self._scaled[1][:, joints]])
+            blocks = (
+                rows[label == k].reshape(-1, rows.shape[2]) for k in range(len(keys))
+            )
+            products = np.array([block.T @ block for block in blocks])
+            parts.append((columns, products[:, :-1, :-1]))
+            scores[:, columns] = products[:, :-1, -1]
         return block_variance(parts, scores, keys)
 
     @functools.cached_property
     def _coupled(self):
         """Joints with common columns, these, scaled rows and Gram matrix, a list."""
-        extra, coupled = np.concatenate(self._columns, axis=2), []
-        for *names, rows in self._branches(extra, self._scaled_residual()[1]):
-            flat = rows.reshape(-1, rows.shape[2])
-            coupled.append((*names, rows, flat.T @ flat))
+        coupled = []
+        for joints, columns, rows in self._branches(self.added):
+            gram = np.tensordot(rows, rows, ((0, 1), (0, 1)))
+            coupled.append((joints, columns, rows, gram))
         return coupled
 
     def _forms(self, i, estimate):
         """Return probabilities and parameters of other forms of an effect."""
-        effect = self.effects[i]
+        effect, at = self.effects[i], self._places[i]
         forms = [x for x in effect.forms() if x.shape() != effect.shape()]
         j, names, bank = effect.joint, effect.continuous, isinstance(effect, Bank)
         coupled = [x for x in self._coupled if j in x[0]] if forms else ()
         if not coupled:
             return ()
-        y, factor, coefs = self._scaled_residual()
         ((joints, columns, rows, gram),) = coupled
-        start = self.view.Z.shape[2] + sum(len(x) for x in coefs[:i])
-        kept = (columns < start) | (columns >= start + len(coefs[i]))
-        scale = (factor * self.view.root)[:, [j]]
-        y[:, [j]] += scale * (self._columns[i][:, j] @ coefs[i][:, None])
+        coef, residual, factor = self._scaled
+        place = columns - self.view.Z.shape[2]
+        kept = (place < at.start) | (place >= at.stop)
+        scale, y = (factor * self.view.root)[:, [j]], residual.copy()
+        y[:, j] += scale[:, 0] * (self.added[:, j, at] @ coef[at])
         root = scaled_eigen(gram[np.ix_(kept, kept)], _RANK).inverse_root()
         inside = root.T @ rows[:, np.searchsorted(joints, j)][:, kept].T
         target = root.T @ np.einsum("mjk,mj->k", rows, y[:, joints])[kept]

@@ -1,7 +1,6 @@
 """Comparison of recordings: fits with recordings left out, and contradictions."""
 
 import functools
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +48,7 @@ class RecordingMoments:
 
     # The design matrix of a joint holds its nonzero columns, an offset, viscous and
     # Coulomb friction, and the torque. `moments` is a list over joints of (n_parts, k,
-    # k); `recording` (n_parts,) is the recording of each part.
+    # k); `recording` (n_parts,) is the recording of each part, which may be empty.
 
     @classmethod
     def of(cls, fit):
@@ -60,54 +59,53 @@ class RecordingMoments:
     def __init__(self, fit):
         self.view, self.features = fit.view, fit.identifier.features_
         self.nv, self.used = self.view.nv, self.view.precision > 0
-        self._theta = fit.identifier.theta_
-        names, self.origin = np.unique(self.view.origin, return_inverse=True)
-        self.count = names.size
+        self._theta, weight = fit.identifier.theta_, self.view.equations.weight
         Phi, tau = fit.columns(), self.view.equations.tau
+        self.origin = np.unique(self.view.origin, return_inverse=True)[1]
+        self.count = int(self.origin.max()) + 1
+        self.recording = np.repeat(np.arange(self.count), _PARTS)
         self.columns = [np.flatnonzero(row) for row in (Phi != 0).any(axis=0)]
         self._designs = []
         for j, at in enumerate(self.columns):
             terms = [fit.in_equations(e(joint=j)) for e in (Offset, Viscous, Coulomb)]
-            terms = [term[:, j, 0] for term in terms]
-            self._designs.append(np.column_stack([Phi[:, j, at], *terms, tau[:, j]]))
+            columns = Phi[:, :, at], *terms, tau[:, :, None]
+            self._designs.append(np.concatenate([x[:, j] for x in columns], axis=1))
         # Contiguous thirds: slow noise would correlate interleaved blocks.
-        block = np.r_[0, np.cumsum(np.diff(self.view.spans.label) != 0)]
-        self.n_blocks = int(block[-1]) + 1
-        part = np.zeros(block.size, dtype=int)
+        self._part = np.zeros(self.origin.size, dtype=int)
         for r in range(self.count):
             rows = self.origin == r
-            place = np.unique(block[rows], return_inverse=True)[1]
-            part[rows] = _PARTS * r + place * _PARTS // max(place[-1] + 1, _PARTS)
-        _, first, part = np.unique(part, return_index=True, return_inverse=True)
-        self.recording = self.origin[first]
-        self.moments = [self.moments_of(j, part) for j in range(self.nv)]
-        weights = self.view.equations.weight.T
-        self.weights = np.array([np.bincount(part, w, first.size) for w in weights]).T
+            place = np.unique(self.view.spans.label[rows], return_inverse=True)[1]
+            third = place * _PARTS // max(place[-1] + 1, _PARTS)
+            self._part[rows] = _PARTS * r + third
+        self.moments = [self.moments_of(j, self._part) for j in range(self.nv)]
+        masks = (self._part == p for p in range(self.recording.size))
+        self.weights = np.array([weight[m].sum(axis=0) for m in masks])
         # Prior of the bodies, from the description: precision (p, p), times mean (p,).
-        p, rigid = Phi.shape[2], self.features.n_parameters_
+        p, rigid = Phi.shape[2], slice(self.features.n_parameters_)
         self._prior = np.zeros((p, p)), np.zeros(p)
-        described = fit.identifier.body_prior()
-        if described is not None:
+        if (described := fit.identifier.body_prior()) is not None:
             fitted = fit.identifier.robot_.joint_weights[self.used]
             ratio = np.mean(self.view.precision[self.used] / fitted)
-            metric, centre = described[0][:rigid, :rigid] * ratio, described[1][:rigid]
-            self._prior[0][:rigid, :rigid] = metric
-            self._prior[1][:rigid] = metric @ centre
+            metric = described[0][rigid, rigid] * ratio
+            self._prior[0][rigid, rigid] = metric
+            self._prior[1][rigid] = metric @ described[1][rigid]
 
     @functools.cached_property
     def with_zeros(self):
-        """Moments of recordings by joint; columns of encoder zeros precede torques."""
-        motion, zeros = self.view.motion_of(self._theta), map(JointZero, range(self.nv))
-        zeros = np.dstack([self.view.in_equations(e, motion) for e in zeros])
-        pairs = enumerate(zip(self._designs, zeros.transpose(1, 0, 2)))
-        wider = {j: np.insert(x, [-1] * self.nv, z, axis=1) for j, (x, z) in pairs}
-        return [self.moments_of(j, self.origin, x) for j, x in wider.items()]
+        """Moments of parts by joint; columns of encoder zeros precede torques."""
+        motion, moments = self.view.motion_of(self._theta), []
+        zeros = (self.view.in_equations(JointZero(k), motion) for k in range(self.nv))
+        zeros = np.concatenate([*zeros], axis=2)
+        for j, design in enumerate(self._designs):
+            rows = np.insert(design, [-1] * self.nv, zeros[:, j], axis=1)
+            moments.append(self.moments_of(j, self._part, rows))
+        return moments
 
     def moments_of(self, j, part, rows=None):
         """Compute moments of the design of a joint, for each part (n_parts, k, k)."""
         rows = self._designs[j] if rows is None else rows
         weighted = rows * self.view.equations.weight[:, [j]]
-        masks = (part == p for p in range(part.max() + 1))
+        masks = (part == p for p in range(self.recording.size))
         return np.array([weighted[m].T @ rows[m] for m in masks])
 
     def solve(self, chosen, precision=None):
@@ -135,27 +133,22 @@ class RecordingMoments:
         # Recordings of the same motion are left out together.
         repetition = self.view.repetition
         motion = repetition.motion if repetition else np.arange(self.count)
-        names = np.unique(motion)
-        if names.size < 2:
-            return np.empty((0, spread.size))
-        out = np.full((names.size, spread.size), np.nan)
-        for row, name in zip(out, names):
-            test = np.isin(self.recording, np.flatnonzero(motion == name))
-            squares = self.squares(test, ~test)
-            weight = self.weights[test].sum(axis=0)
-            used = (weight > 0) & self.used
-            row[used] = np.sqrt(squares[used] / weight[used]) / spread[used]
-        return out
+        names, errors = np.unique(motion), []
+        for name in names if names.size > 1 else ():
+            test = motion[self.recording] == name
+            rows = self.weights[test].sum(axis=0)
+            errors.append(_relative(self.squares(test, ~test), rows, spread))
+        return np.reshape(errors, (-1, self.nv))
 
     @functools.cached_property
-    def _errors(self):
+    def _held_out_squares(self):
         """Squared errors on held-out parts of each recording, (2, r, nv)."""
         # Of fits to the rest of the recording, and to the rest of all recordings.
         squares = np.zeros((2, self.count, self.nv))
-        for r in range(self.count):
-            same = self.recording == r
-            for p in np.flatnonzero(same) if same.sum() >= _PARTS else ():
-                test = np.arange(same.size) == p
+        for test in np.eye(self.recording.size, dtype=bool):
+            r = self.recording[test.argmax()]
+            if np.unique(self._part[self.origin == r]).size == _PARTS:
+                same = self.recording == r
                 squares[0, r] += self.squares(test, same & ~test)
                 squares[1, r] += self.squares(test, ~test)
         return squares
@@ -168,35 +161,37 @@ class RecordingMoments:
 
     @functools.cached_property
     def partitions(self):
-        """Pairs of moments and recordings, for thirds of time, position and speed."""
+        """Moments for thirds of time, position and speed, a list."""
         # Parameters fitted with an incomplete model vary with position and speed.
         nv, states = self.nv, self.view.states[self.view.index]
-        weight, pairs = self.view.equations.weight, [(self.moments, self.recording)]
-        for values in (states[:, :nv], np.abs(states[:, nv : 2 * nv])):
-            moments = [
-                self.moments_of(j, _thirds(self.origin, values[:, j], weight[:, j]))
-                for j in range(nv)
-            ]
-            pairs.append((moments, np.repeat(np.arange(self.count), _PARTS)))
-        return pairs
+        weight, partitions = self.view.equations.weight, [self.moments]
+        for x in (states[:, :nv], np.abs(states[:, nv : 2 * nv])):
+            thirds = (_thirds(self.origin, x[:, j], weight[:, j]) for j in range(nv))
+            partitions.append([*map(self.moments_of, range(nv), thirds)])
+        return partitions
 
     def alone(self, spread):
         """Return errors (nv,) on held-out parts, of fits within recordings."""
-        whole = self._errors[0].any(axis=1)
-        rows = self.weights[whole[self.recording]].sum(axis=0)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.sqrt(self._errors[0].sum(axis=0) / rows) / spread
+        squares = self._held_out_squares[0]
+        rows = self.weights[squares.any(axis=1)[self.recording]].sum(axis=0)
+        return _relative(squares.sum(axis=0), rows, spread)
 
     def inconsistent(self, spread):
         """Return errors of both fits, by (recording, joint) with a worse common fit."""
-        errors = {}
-        for r, (alone, together) in enumerate(zip(*self._errors)):
-            rows = self.weights[self.recording == r].sum(axis=0) * self.used
-            better = (rows > 0) & (together > 0) & (alone <= _RATIO * together)
-            for j in np.flatnonzero(better).tolist():
-                pair = np.sqrt(np.array([alone[j], together[j]]) / rows[j]) / spread[j]
-                errors[r, j] = dict(zip(("alone", "together"), pair.tolist()))
-        return errors
+        squares = self._held_out_squares
+        rows = self.weights.reshape(self.count, _PARTS, -1).sum(axis=1)
+        errors = _relative(squares, rows, spread)
+        better = (errors[1] > 0) & (squares[0] <= _RATIO * squares[1])
+        return {
+            (r, j): dict(zip(("alone", "together"), errors[:, r, j].tolist()))
+            for r, j in np.argwhere(better).tolist()
+        }
+
+
+def _relative(squares, rows, spread):
+    """Return errors over a spread from squared ones; nan where no row has a weight."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.sqrt(squares / rows) / spread
 
 
 def contradictions(parts, spread, alpha):
@@ -204,21 +199,21 @@ def contradictions(parts, spread, alpha):
     errors = {} if parts is None else parts.inconsistent(spread)
     if not errors:
         return ()
-    # Of two recordings, either may be the one that deviates.
-    some = parts.count > 2
-    suspects = sorted({r for r, _ in errors}) if some else range(parts.count)
     joints = sorted({j for _, j in errors})
-    remaining = list(range(parts.count))
-    while suspects := [r for r in suspects if r in remaining]:
+    # Of two recordings, either may be the one that deviates.
+    suspects = {r for r, _ in errors} if parts.count > 2 else {0, 1}
+    remaining, removed = list(range(parts.count)), []
+    while suspects:
         # A deviating recording also makes others inconsistent until it is left out.
-        trials = {r: _Deviations(parts, r, remaining) for r in suspects}
+        trials = {r: _Deviations(parts, r, remaining) for r in sorted(suspects)}
         tested = {(r, j): x.test(j) for r, x in trials.items() for j in joints}
         r, j = max(tested, key=lambda key: tested[key][0])
         if not tested[r, j][1] < alpha:
             break
-        remaining.remove(r)
-    removed = [r for r in range(parts.count) if r not in remaining]
-    deviations = (_Deviations(parts, r, [*remaining, r]) for r in removed)
+        for recordings in (remaining, suspects):
+            recordings.remove(r)
+        removed.append(r)
+    deviations = (_Deviations(parts, r, [*remaining, r]) for r in sorted(removed))
     return tuple(x for d in deviations for x in d.significant(joints, alpha, errors))
 
 
@@ -233,68 +228,63 @@ class _Deviations:
     def __init__(self, parts, recording, recordings):
         # recordings: the fitted ones, including this one.
         self._parts, self._recording, self._recordings = parts, recording, recordings
-        chosen = np.isin(parts.recording, recordings)
         self._rows = parts.recording == recording
+        chosen = np.isin(parts.recording, recordings)
         # Joint weights from separate fits: in a common fit, differences between
         # recordings would count as noise.
         squares = parts.separate_squares[recordings].sum(axis=0)
         used, total = parts.used & (squares > 0), parts.weights[chosen].sum(axis=0)
         self._noise = np.where(used, total / or_one(squares), 0.0)
         self._eigen, self._theta = parts.solve(chosen, self._noise)
-        others, self._columns = parts.solve(chosen & ~self._rows)[1], []
-        for places in parts.columns:
-            columns = np.eye(places.size + 3, _COLUMNS, -places.size)
-            columns[: places.size, 3] = others[places]
-            self._columns.append(columns)
+        others = parts.solve(chosen & ~self._rows)[1]
+        self._columns = [np.eye(x.size + 3, _COLUMNS, -x.size) for x in parts.columns]
+        for columns, at in zip(self._columns, parts.columns):
+            columns[: at.size, 3] = others[at]
 
     def _fitted(self, added, shared=False):
-        """Fit added columns by joints; return the gain, theta and the coefficients."""
+        """Fit added columns by joints; return the gain, theta and coefficients."""
         # shared: whether all joints have the same coefficients.
-        edges = np.cumsum([0, *(A.shape[1] for A in added.values())])
-        places = [slice(a, b) for a, b in itertools.pairwise(edges)]
-        if shared:
-            edges, places = edges[:2], places[:1] * len(places)
-        cross, h = np.zeros((self._theta.size, edges[-1])), np.zeros(edges[-1])
-        H = np.zeros((edges[-1], edges[-1]))
-        for (j, A), at in zip(added.items(), places):
+        blocks = np.ones((len(added), 1)) if shared else np.eye(len(added))
+        added = {j: np.kron(x, A) for x, (j, A) in zip(blocks, added.items())}
+        k = max((A.shape[1] for A in added.values()), default=0)
+        cross, H, h = np.zeros((self._theta.size, k)), np.zeros((k, k)), np.zeros(k)
+        for j, A in added.items():
             columns, n = self._parts.columns[j], len(A)
-            moments = self._noise[j] * self._parts.with_zeros[j][self._recording]
-            GA = moments[:, :n] @ A
-            cross[columns, at] += GA[: columns.size]
-            h[at] += A.T @ moments[:n, -1]
-            H[at, at] += A.T @ GA[:n]
+            moments = self._noise[j] * self._parts.with_zeros[j][self._rows].sum(axis=0)
+            GA = moments[:n, :n] @ A
+            cross[columns] += GA[: columns.size]
+            H += A.T @ GA
+            h += A.T @ moments[:n, -1]
         # Schur complement: theta is eliminated.
         solution = self._eigen.solve(cross)
         H, h = H - cross.T @ solution, h - cross.T @ self._theta
         coef = scaled_eigen(H, _RANK_TOL).solve(h)
-        coefs = {j: coef[at] for j, at in zip(added, places)}
-        return float(coef @ h), self._theta - solution @ coef, coefs
+        return float(coef @ h), self._theta - solution @ coef, coef
 
     def _within(self, j, coef, theta):
         """Squares per parameter that thirds of recordings explain on a joint."""
         # With the degrees of freedom, for the partition with the largest variance.
         A, n, sizes = self._columns[j], self._parts.columns[j].size, []
-        fitted = np.zeros((self._parts.count, A.shape[0]))
-        fitted[:, :n] = theta[self._parts.columns[j]]
-        fitted[self._recording] += A @ coef
-        for moments, recording in self._parts.partitions:
+        fitted = np.zeros((self._rows.size, A.shape[0], 1))
+        fitted[:, :n, 0] = theta[self._parts.columns[j]]
+        fitted[self._rows, :, 0] += A @ coef
+        for moments in self._parts.partitions:
             M = self._noise[j] * moments[j]
-            e = M[:, :-1, -1] - (M[:, :-1, :-1] @ fitted[recording, :, None])[..., 0]
-            scores, grams = e @ A, A.T @ M[:, :-1, :-1] @ A
-            total = np.zeros(2)
-            for rows in (recording == r for r in self._recordings):
+            scores = (M[:, :-1, -1:] - M[:, :-1, :-1] @ fitted)[:, :, 0] @ A
+            grams, total = A.T @ M[:, :-1, :-1] @ A, np.zeros(2)
+            for rows in (self._parts.recording == r for r in self._recordings):
                 total += sum(map(_gain, scores[rows], grams[rows]))
                 total -= _gain(scores[rows].sum(axis=0), grams[rows].sum(axis=0))
-            size = total[0] / total[1] if total[1] > 0 else np.inf
-            sizes.append((size, total[1] if total[1] > 0 else 1))
+            squares, freedom = total if total[1] > 0 else (np.inf, 1.0)
+            sizes.append((squares / freedom, freedom))
         return max(sizes)
 
     def test(self, j, joints=()):
         """Return F statistic, p-value and variance unit of the deviation on a joint."""
         # joints: others that may deviate as well.
-        added = {k: self._columns[k] for k in {*joints, j}}
-        gain, theta, coefs = self._fitted(added)
-        size, freedom = self._within(j, coefs[j], theta)
+        added = {k: self._columns[k] for k in {j: 0} | dict.fromkeys(joints)}
+        gain, theta, coef = self._fitted(added)
+        size, freedom = self._within(j, coef[:_COLUMNS], theta)
         del added[j]
         # Recordings may differ as much as single thirds, more than means of thirds do.
         unit = 1.0 + _PARTS * (max(size, 1.0) - 1.0)
@@ -307,44 +297,43 @@ class _Deviations:
         tested = {j: self.test(j, joints) for j in joints}
         tested = {j: x for j, x in tested.items() if x[1] < alpha}
         unit = max((unit for *_, unit in tested.values()), default=1.0)
-        cause, values = self._cause(tested, unit)
-        of, cause = (cause, "zero") if isinstance(cause, int) else (None, cause)
+        cause, of, values = self._cause(tested, unit)
         for j, (_, p_value, _) in tested.items():
-            r, value = self._recording, values.get(j, np.nan)
-            about = {"alone": np.nan, "together": np.nan, "p_value": p_value, "of": of}
-            about |= errors.get((r, j), {})
-            yield Contradiction(recording=r, joint=j, cause=cause, value=value, **about)
+            r, about = self._recording, {"cause": cause, "of": of, "p_value": p_value}
+            about |= {"alone": np.nan, "together": np.nan} | errors.get((r, j), {})
+            about |= {"recording": r, "joint": j, "value": values.get(j, np.nan)}
+            yield Contradiction(**about)
 
     def _cause(self, joints, unit):
         """Choose the cause of highest evidence (Schwarz), with values by joints."""
-        parts, trials = self._parts, []
+        parts = self._parts
+        trials = []
         for name, chosen in _CAUSES.items():
-            trials.append((name, {j: self._columns[j][:, chosen] for j in joints}))
-        # A shifted encoder zero (by its joint), and a payload on the last body of a
-        # branch act on several joints.
+            own = {j: self._columns[j][:, chosen] for j in joints}
+            trials.append((name, None, own))
+        # A shifted encoder zero, and a payload on the last body of a branch act on
+        # several joints.
         for k in range(parts.nv):
             zero = [np.eye(x.size + 4 + k, 1, -x.size - 3 - k) for x in parts.columns]
-            trials.append((k, dict(enumerate(zero))))
+            trials.append(("zero", k, dict(enumerate(zero))))
         for body in end_joints(parts.features.model_):
             indices = parts.features.n_parameters_ // parts.nv * body + np.arange(10)
             load = [np.equal.outer(np.r_[x, [-1] * 3], indices) for x in parts.columns]
-            trials.append(("payload", dict(enumerate(map(np.float64, load)))))
+            trials.append(("payload", None, dict(enumerate(map(np.float64, load)))))
         best, choice = -np.inf, None
-        for name, columns in trials:
-            shared = name not in _CAUSES
-            gain, _, coefs = self._fitted(columns, shared)
-            count = coefs[0].size if shared else sum(map(np.size, coefs.values()))
-            score = 0.5 * (gain / unit - count * np.log(parts.n_blocks))
-            if (score := score - _MARGIN * (name == "model")) <= best:
-                continue
-            # The mass of a payload on the joint axis exerts no torque.
-            no_m = {j: A[:, 1:] for j, A in columns.items() if name == "payload"}
-            unknown = no_m and gain - self._fitted(no_m, True)[0] < 2 * _MARGIN * unit
-            if unknown or name in ("friction", "model"):
-                coefs = {}
-            values = {j: float(x[0]) + (name == "gain") for j, x in coefs.items()}
-            best, choice = score, (name, values)
-        return choice
+        for name, joint, columns in trials:
+            gain, _, coef = self._fitted(columns, shared=name not in _CAUSES)
+            score = 0.5 * (gain / unit - coef.size * np.log(parts.view.spans.n_blocks))
+            if (score := score - _MARGIN * (name == "model")) > best:
+                best, choice = score, (name, joint, columns, gain, coef)
+        cause, of, columns, gain, coef = choice
+        # The mass of a payload on the joint axis exerts no torque.
+        no_mass = {j: A[:, 1:] for j, A in columns.items() if cause == "payload"}
+        unknown = no_mass and gain - self._fitted(no_mass, True)[0] < 2 * _MARGIN * unit
+        if unknown or cause in ("friction", "model"):
+            return cause, of, {}
+        values = coef if cause in _CAUSES else np.full(len(joints), coef[0])
+        return cause, of, dict(zip(joints, (values + (cause == "gain")).tolist()))
 
 
 def _gain(h, H):

@@ -1,10 +1,10 @@
 """Blocks of time, and the correlation time of a residual."""
 
+import functools
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
 # Maximum lag for 100 rows, about Schwert's rule, which grows with n^(1/4).
 _LAGS = 10.0
@@ -59,18 +59,19 @@ def memory_time(residual, used, starts, step, stride=1):
 
 def _integrated(phi):
     """Sum the autocorrelations of an autoregression over all lags."""
-    gain = 1.0 - phi.sum()
+    gain, variance = 1.0 - phi.sum(), 1.0
     if gain <= 0:
         return np.inf
+    # The Durbin-Levinson recursion backwards: the process is stationary if all partial
+    # autocorrelations are below one.
+    while phi.size:
+        partial = phi[-1]
+        if abs(partial) >= 1.0 - _ROUNDING:
+            return np.inf
+        phi = (phi[:-1] + partial * phi[-2::-1]) / (1.0 - partial**2)
+        variance /= 1.0 - partial**2
     # Spectral density at zero frequency over the variance.
-    p, companion = phi.size, linalg.companion(np.r_[1.0, -phi])
-    if np.abs(np.linalg.eigvals(companion)).max() >= 1.0 - _ROUNDING:
-        return np.inf
-    noise = np.zeros((p, p))
-    noise[0, 0] = 1.0
-    cov = np.linalg.solve(np.eye(p * p) - np.kron(companion, companion), noise.ravel())
-    # Close to a random walk rounding may make the variance negative.
-    return float(1.0 / (gain**2 * cov[0])) if cov[0] > 0 else np.inf
+    return float(1.0 / (gain**2 * variance))
 
 
 def interpolation(used, starts):
@@ -87,7 +88,7 @@ def interpolation(used, starts):
     return low, high, share
 
 
-# An autoregression with a root this close to the unit circle is a random walk.
+# A partial autocorrelation this close to one is that of a random walk.
 _ROUNDING = 1e-9
 # Length of a block over the correlation time of the residual.
 _CORRELATION_TIMES = 10.0
@@ -104,28 +105,36 @@ _FOLDS = 8
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Blocks:
-    """Blocks and folds of rows."""
+    """Blocks of rows, and folds of blocks."""
 
     label: np.ndarray  # (m,): block of each row
-    fold: np.ndarray  # (m,): fold of each row: blocks that are left out together
     length: float  # typical length of a block [s]
-    # (m,): rows sorted by block
-    order: slice | np.ndarray = field(default_factory=lambda: slice(None))
+    sequence: np.ndarray  # (n_blocks,): blocks in an order independent of the parts
 
     @property
     def n_blocks(self):
         """Number of blocks."""
-        return int(self.label.max()) + 1
+        return self.sequence.size
 
     @property
     def n_folds(self):
         """Number of folds."""
-        return int(self.fold.max()) + 1
+        return min(_FOLDS, self.n_blocks)
+
+    @property
+    def fold(self):
+        """Fold of each row: blocks that are left out together, (m,)."""
+        return np.argsort(self.sequence)[self.label] % self.n_folds
+
+    @functools.cached_property
+    def order(self):
+        """Rows sorted by block, (m,)."""
+        return np.argsort(self.label, kind="stable")
 
     @property
     def starts(self):
         """First row of each block, among the rows sorted by `order`."""
-        return np.r_[0, np.flatnonzero(np.diff(self.label[self.order])) + 1]
+        return np.searchsorted(self.label[self.order], np.arange(self.n_blocks))
 
     def sums(self, values):
         """Sum rows (m, ...) over each block."""
@@ -148,8 +157,8 @@ def phase_blocks(motion, phase, correlation, filter_length):
     """Divide rows into blocks by the phase (m,) [s] of repeated motions (m,)."""
     # Unmodelled torque repeats with the motion: all rows of a phase are in one block.
     names, motion = np.unique(motion, return_inverse=True)
-    low = np.array([phase[motion == k].min() for k in range(names.size)])
-    length = np.array([np.ptp(phase[motion == k]) for k in range(names.size)])
+    phases = [phase[motion == k] for k in range(names.size)]
+    low, length = np.array([(x.min(), np.ptp(x)) for x in phases]).T
     total = float(length.sum())
     least = max(_CORRELATION_TIMES * correlation, filter_length)
     wanted = min(np.clip(total / least, *_BLOCK_RANGE), total / filter_length)
@@ -157,13 +166,9 @@ def phase_blocks(motion, phase, correlation, filter_length):
     share = (phase - low[motion]) / np.maximum(length, filter_length)[motion]
     place = np.minimum(np.floor(share * count[motion]), count[motion] - 1)
     label = (np.cumsum(count) - count)[motion] + place
-    label = np.unique(label, return_inverse=True)[1]
-    n_blocks = int(label.max()) + 1
+    names, label = np.unique(label, return_inverse=True)
     return Blocks(
-        label=label,
-        fold=label % min(_FOLDS, n_blocks),
-        length=total / n_blocks,
-        order=np.argsort(label, kind="stable"),
+        label=label, length=total / names.size, sequence=np.arange(names.size)
     )
 
 
@@ -172,8 +177,8 @@ def make_blocks(time, starts, correlation, filter_length, order=None):
     # correlation: correlation time of the residual [s]; filter_length in [s]. Blocks
     # are assigned to folds cyclically, by recording in the given `order`.
     edges = np.r_[starts, time.size]
-    lengths = [float(np.ptp(time[a:b])) for a, b in itertools.pairwise(edges)]
-    total = sum(lengths)
+    sizes, lengths = np.diff(edges), time[edges[1:] - 1] - time[edges[:-1]]
+    total = float(lengths.sum())
     least = max(_CORRELATION_TIMES * correlation, filter_length)
     if total / FEWEST < filter_length:
         raise ValueError(
@@ -184,22 +189,14 @@ def make_blocks(time, starts, correlation, filter_length, order=None):
         )
     wanted = int(np.clip(total / least, *_BLOCK_RANGE))
     wanted = min(wanted, int(total / filter_length))
-    label = np.empty(time.size, dtype=int)
-    counts = []
-    for a, b, length in zip(edges[:-1], edges[1:], lengths):
-        count = max(1, round(wanted * length / total)) if total else 1
-        count = min(count, b - a)
-        label[a:b] = sum(counts) + (np.arange(b - a) * count) // (b - a)
-        counts.append(count)
-    counts = np.array(counts)
-    order = np.arange(counts.size) if order is None else np.asarray(order)
-    before = np.empty_like(counts)
-    before[order] = np.r_[0, np.cumsum(counts[order])[:-1]]
-    # Index of each block if recordings are sorted by `order`.
-    place = np.concatenate([np.arange(n) + b for n, b in zip(counts, before)])
-    n_blocks = int(counts.sum())
+    counts = np.clip(np.round(wanted * lengths / total), 1, sizes).astype(int)
+    first, part = np.cumsum(counts) - counts, np.repeat(np.arange(sizes.size), sizes)
+    row = np.arange(time.size) - edges[part]
+    blocks = np.split(np.arange(counts.sum()), first[1:])
     return Blocks(
-        label=label,
-        fold=place[label] % min(_FOLDS, n_blocks),
-        length=total / max(n_blocks, 1),
+        label=first[part] + row * counts[part] // sizes[part],
+        length=total / counts.sum(),
+        sequence=np.concatenate(
+            blocks if order is None else [blocks[k] for k in order]
+        ),
     )

@@ -490,7 +490,7 @@ class Fit:
         # Remove the part of the noise that the column itself explains.
         products -= products.sum(axis=0) / np.maximum(expected, _TINY) * power
         view = self.problem.view
-        spans = view.spans.sums(products)[view.span_order]
+        spans = view.spans.sums(products)[view.spans.sequence]
         phases = view.blocks.sums(products) if view.repetition else None
         result = []
         for c, effect in enumerate(effects):

@@ -268,12 +268,6 @@ class RecordingView:
             self.blocks = phase_blocks(*self.phases, correlation, length)
             once = self.blocks.n_blocks * self.blocks.length
             self.repeats = max(self.index.size * self.step / once, 1.0)
-        # Order of the blocks, independent of the order of the parts.
-        parts = self.spans.label[np.r_[self.starts, self.index.size - 1]]
-        bounds = [*parts[:-1], parts[-1] + 1]
-        self.span_order = np.concatenate(
-            [np.arange(bounds[k], bounds[k + 1]) for k in order]
-        )
 
     def _content_order(self):
         """Sort the parts by content, so that folds do not depend on their order."""

@@ -395,7 +395,7 @@ def test_overdispersion_of_time_effects_uses_low_frequencies(fitted, effect, use
     noise = fitted.scores + 9.0 * rows * turns * fitted.scores.std() / rows.std()
     result = fitted.overdispersion(group, 0, coef, stub_of(noise))
     scores, promised = literal_scores(fitted, group.member(), coef, noise)
-    order = fitted.problem.view.span_order
+    order = fitted.problem.view.spans.sequence
     power = dct(scores[order], norm="ortho")[1:] ** 2 * scores.size / promised
     slow = max(power.size // 4, 1)
     usual = max(1.0, power.mean(), power[:slow].mean())

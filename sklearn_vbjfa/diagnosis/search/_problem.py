@@ -43,8 +43,8 @@ class Columns:
         self.effects, self.joints, self.load = tuple(effects), tuple(joints), load
         self.values, self.unit, self.edges = values, unit, edges
         self.shape = unit.shape
-        # cached (argument, products) of `declared` and `rhs`
-        self._declared = self._rhs = None, None
+        # by the number of dimensions of the argument of `products`: it, and the result
+        self._products = {}
 
     @functools.cached_property
     def gram(self):
@@ -53,21 +53,16 @@ class Columns:
         bands = [X[:, :, a:b] for a, b in itertools.pairwise(self.edges)]
         return np.stack([x.swapaxes(-1, -2) @ x for x in bands], axis=1)
 
-    def declared(self, Z):
-        """Compute products with columns Z (nv, n, r), (nj, n_bands, r, c * k)."""
-        if self._declared[0] is not Z:
-            self._declared = Z, self._products(Z)
-        return self._declared[1]
-
-    def rhs(self, y):
-        """Compute products with torques y (nv, n), (nj, n_bands, c * k)."""
-        if self._rhs[0] is not y:
-            self._rhs = y, self._products(y)[:, :, 0]
-        return self._rhs[1]
-
-    def _products(self, target):
-        pairs = zip(self.joints, self.values)
-        return np.array([band_products(self.edges, target[j], X) for j, X in pairs])
+    def products(self, target):
+        """Compute products with cosines (nv, n, ...), (nj, n_bands, ..., c * k)."""
+        # Cached, as targets are the declared columns or the torques of the problem.
+        known, products = self._products.get(target.ndim, (None, None))
+        if known is not target:
+            pairs = zip(self.joints, self.values)
+            products = [band_products(self.edges, target[j], X) for j, X in pairs]
+            products = np.array(products)
+            self._products[target.ndim] = target, products
+        return products
 
     def member(self, c=0, scale=1.0):
         """Return one of the shapes as a `SelectedEffect`."""
@@ -161,22 +156,21 @@ class Problem:
 
     def columns(self, effects):
         """Return `Columns` of an effect with several shapes, list of Effect."""
-        key, joints = self._key(effects), effects[0].acts_on(self.view.nv)
-        load = self.motion if any("load" in e.needs for e in effects) else None
-        columns = self.view.cache.get(key)
-        if columns is None or columns.load is not load:
-            values, size = self.view.column_cosines(effects, self.motion, self.cosines)
-            # The unit of an effect on several joints is that of the most affected one.
-            largest = (size * self._per_torque[joints][:, None, None]).max(axis=0)
-            unit = (largest > 0) / or_one(largest)
-            columns = Columns(effects, joints, values, unit, self.edges, load)
-        return self.view.keep(key, columns)
-
-    def _key(self, effects):
-        """Return a cache key of columns: all that they depend on except the load."""
-        joints = effects[0].acts_on(self.view.nv)
+        view, joints = self.view, effects[0].acts_on(self.view.nv)
+        # All that the columns depend on except the load.
         uses = ((type(e), *sorted(e.get_params(deep=False).items())) for e in effects)
-        return *self.view.gains[joints], *self.torque[joints], *uses
+        key = *view.gains[joints], *self.torque[joints], *uses
+        load = self.motion if any("load" in e.needs for e in effects) else None
+        columns = view.cache.get(key)
+        if columns is None or columns.load is not load:
+            rows = view.columns(effects, self.motion)
+            size = np.sqrt((rows**2).mean(axis=1)).transpose(1, 2, 0)
+            # The unit of an effect on several joints is that of the most affected one.
+            largest = (size * self._per_torque[joints]).max(axis=2)
+            unit = (largest > 0) / or_one(largest)
+            values = self.cosines(rows, joints)
+            columns = Columns(effects, joints, values, unit, self.edges, load)
+        return view.keep(key, columns)
 
     def shapes(self, effect, first=False):
         """Return an effect with all shapes of its grid, or the first ones to try."""
@@ -259,13 +253,10 @@ class Base:
         applied = member.applied
         if not applied.any():
             return self
-        y, other = self.problem.y.copy(), copy.copy(self)
+        y = self.problem.y.copy()
         for j, values in zip(member.joints, member.columns.values):
             y[j] += values[:, 0] @ applied
-        other.problem = self.problem.changed(y=y)
-        other._cache = WeakKeyDictionary()
-        other.t = self.t + self.reduced_moments(member.columns).T @ applied
-        return other
+        return self.on(self.problem.changed(y=y))
 
     def weighted(self, joints, products):
         """Sum products (nj, n_bands, ...) over joints and bands with their weights."""
@@ -277,8 +268,8 @@ class Base:
         """Return the moments of `Columns` given the declared ones."""
         if columns not in self._cache:
             joints, (c, k) = columns.joints, columns.shape
-            T = _solve(self.L, self.weighted(joints, columns.declared(self.problem.Z)))
-            rhs = self.weighted(joints, columns.rhs(self.problem.y))
+            T = _solve(self.L, self.weighted(joints, columns.products(self.problem.Z)))
+            rhs = self.weighted(joints, columns.products(self.problem.y))[0]
             gram = self.weighted(joints, columns.gram)
             H, q = gram - _blocks(T, c, k), (rhs - self.t @ T).reshape(c, k)
             self._cache[columns] = ReducedMoments(T=T, gram=gram, H=H, q=q)
@@ -310,9 +301,9 @@ def _blocks(T, c, k):
 
 
 def _score_powers(scores):
-    """Return the power spectrum of scores without the mean, and its slow part."""
-    power = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size
-    return power, power[: max(power.size // _SLOW, 1)]
+    """Return the power spectrum of scores (n, c) without mean, and its slow part."""
+    power = fft.dct(scores, axis=0, norm="ortho")[1:] ** 2 * len(scores)
+    return power, power[: max(len(power) // _SLOW, 1)]
 
 
 class Fit:
@@ -402,7 +393,7 @@ class Fit:
         for j, (at, _, gram) in self._joint_terms.items():
             dof[j] += np.tensordot(gram, covariance[at[:, None], at], 2)
         for index, member in zip(self.slices, self.members):
-            ZX = member.columns.declared(problem.Z)
+            ZX = member.columns.products(problem.Z)
             dof[list(member.joints)] -= 2.0 * np.tensordot(ZX, cross[:, index], 2)
         dof *= base.density
         # Repetitions of a motion add no information on unmodelled torque.
@@ -485,46 +476,35 @@ class Fit:
         white = columns * np.sqrt(self.base.weights)[:, :, None]
         rows, ratio = self._rows(white), self.base.score_variance_ratio(white)
         power = np.einsum("jmc,jmc->mc", rows, rows)
-        expected = power.sum(axis=0)
+        expected = np.maximum(power.sum(axis=0), _TINY)
         products = np.einsum("jmc,jm->mc", rows, noise.scores)
         # Remove the part of the noise that the column itself explains.
-        products -= products.sum(axis=0) / np.maximum(expected, _TINY) * power
-        view = self.problem.view
-        spans = view.spans.sums(products)[view.spans.sequence]
-        phases = view.blocks.sums(products) if view.repetition else None
-        result = []
-        for c, effect in enumerate(effects):
-            if not expected[c] > 0:
-                result.append(Overdispersion())
-                continue
-            repeated = None if phases is None else phases[:, c] / np.sqrt(expected[c])
-            scores = spans[:, c] / np.sqrt(expected[c])
-            result.append(self._dispersion(scores, repeated, effect, noise, ratio[c]))
-        return result
-
-    def _dispersion(self, scores, repeated, effect, noise, least):
-        """Compute the overdispersion of scores of blocks, and of phases if repeated."""
-        power, slow = _score_powers(scores)
-        usual, freedom = max(1.0, least, slow.mean(), power.mean()), np.inf
-        if repeated is not None:
+        products -= products.sum(axis=0) / expected * power
+        products /= np.sqrt(expected)
+        view, freedom = self.problem.view, np.inf
+        power, slow = _score_powers(view.spans.sums(products)[view.spans.sequence])
+        usual = np.maximum.reduce([ratio, power.mean(axis=0), slow.mean(axis=0)])
+        if view.repetition:
             # Unmodelled torque repeats with the phase; the noise fit used up as many of
             # the few phases as it has parameters.
-            repeated, slow_repeated = _score_powers(repeated)
+            phases, slow_phases = _score_powers(view.blocks.sums(products))
             n_used = self.problem.used_joints.sum()
             used_dof = (self.base.L.shape[0] + noise.n_coefficients) / n_used
-            freedom = float(max(repeated.size - used_dof, 1.0))
-            scale = repeated.size / freedom
-            usual = max(usual, scale * slow_repeated.mean(), scale * repeated.mean())
-        usual = float(usual)
-        if not effect.slow:
-            return Overdispersion(ratio=usual, freedom=freedom, usual=usual)
-        # Functions of time compete with the few slowest changes, of which the effect
-        # used one, and one more if its time course was searched.
-        used_dof = 1 + bool(effect.continuous)
-        slowest = power[:_SLOWEST].sum() / max(_SLOWEST - used_dof, 1)
-        freedom = float(max(slow.size - used_dof, 1))
-        ratio = float(max(usual, slowest))
-        return Overdispersion(ratio=ratio, freedom=freedom, usual=usual)
+            freedom = float(max(len(phases) - used_dof, 1.0))
+            repeated = np.maximum(phases.mean(axis=0), slow_phases.mean(axis=0))
+            usual = np.maximum(usual, len(phases) / freedom * repeated)
+        result, usual = [], np.maximum(usual, 1.0).tolist()
+        for c, effect in enumerate(effects):
+            ratio, dof = usual[c], freedom
+            if effect.slow:
+                # Functions of time compete with the few slowest changes, of which the
+                # effect used one, and one more if its time course was searched.
+                used_dof = 1 + bool(effect.continuous)
+                slowest = power[:_SLOWEST, c].sum() / max(_SLOWEST - used_dof, 1)
+                ratio = max(ratio, float(slowest))
+                dof = float(max(len(slow) - used_dof, 1))
+            result.append(Overdispersion(ratio=ratio, freedom=dof, usual=usual[c]))
+        return result
 
     def with_held(self, held):
         """Hold other declared friction terms at zero, see `Problem`."""

@@ -343,12 +343,6 @@ class RecordingView:
             out[:, :, first : first + step] = np.moveaxis(rows * scale, 1, 0)
         return out
 
-    def column_cosines(self, effects, motion, cosines):
-        """Compute cosines (nj, n, c, k) of an effect's columns, and RMS (nj, c, k)."""
-        rows = self.columns(effects, motion)
-        size = np.sqrt((rows**2).mean(axis=1))
-        return cosines(rows, effects[0].acts_on(self.nv)), size
-
     def keep(self, key, columns):
         """Cache `Columns` that are in use or were used last."""
         self._recent.pop(key, None)

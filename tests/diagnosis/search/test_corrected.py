@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa.diagnosis.search import Cosines
+from sklearn_vbjfa.diagnosis.search import Problem
 from sklearn_vbjfa.effects import (
     BaseTilt,
     Coulomb,
@@ -78,26 +78,20 @@ def test_corrected_equations_match_an_identifier(view, effects):
 
 def test_gains_scale_the_columns_of_effects(view):
     other = view.corrected([GAIN])
-    motion, cosines = view.motion(None), Cosines(view)
+    motion, equations = view.motion(None), [Problem(x) for x in (view, other)]
     for effect in (Coulomb(1), Coulomb(0), Offset(1)):
         factor = 1.2 if effect.joint == 1 else 1.0
         plain = view.columns([effect], motion)
         assert_allclose(other.columns([effect], motion), factor * plain)
-        assert_allclose(
-            other.column_cosines([effect], motion, cosines)[0],
-            factor * cosines(plain, [effect.joint]),
-            atol=1e-12,
-        )
+        # The cache must distinguish the two views.
+        for made, gain in zip(equations, (1.0, factor)):
+            values = made.changed(motion=motion).columns([effect]).values
+            cosines = gain * made.cosines(plain, [effect.joint])
+            assert_allclose(values, cosines, atol=1e-12)
         assert_allclose(
             other.in_equations(effect, motion),
             factor * view.in_equations(effect, motion),
         )
-    # The cache must distinguish the two views.
-    assert_allclose(
-        view.column_cosines([Coulomb(1)], motion, cosines)[0],
-        cosines(view.columns([Coulomb(1)], motion), [1]),
-        atol=1e-12,
-    )
 
 
 def test_declared_corrections_are_applied_before_the_search():

@@ -312,9 +312,9 @@ class Fit:
     # base: declared columns under these weights; theta (r,): their posterior mean;
     # slices: coefficients of each member; prior (p,): their prior precision; applied
     # (p,): part in the robot model. B (r, p), H (p, p), q (p,): see `ReducedMoments`,
-    # of the members' columns; `reduced` if they are known from another fit.
+    # of the members' columns.
 
-    def __init__(self, base, members=(), reduced=None):
+    def __init__(self, base, members=()):
         self.base, self.problem, self.members = base, base.problem, tuple(members)
         edges = np.cumsum([0, *(m.width for m in self.members)])
         self.slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
@@ -322,7 +322,7 @@ class Fit:
         self.prior = np.concatenate([np.zeros(0), *deviation]) ** -2.0
         applied = (m.applied for m in self.members)
         self.applied = np.concatenate([np.zeros(0), *applied])
-        self._B, self._H, self._q = self._moments() if reduced is None else reduced
+        self._B, self._H, self._q = self._moments()
         rhs = self._q - self.prior * self.applied
         S = self._H + np.diag(self.prior)
         self._factor = linalg.cholesky(S, lower=True) if rhs.size else S
@@ -554,7 +554,7 @@ class Fit:
         """Set the most probable prior scale of each member."""
         scales = [float(x.best_scale(scale)[0]) for x in self.member_groups]
         members = [replace(m, scale=x) for m, x in zip(self.members, scales)]
-        return Fit(self.base, members, (self._B, self._H, self._q))
+        return Fit(self.base, members)
 
     def log_evidence(self):
         """Compute the log evidence, up to a constant of the recording."""
@@ -583,12 +583,7 @@ class Fit:
     def without(self, i):
         """Return the fit without a member, and without its correction of the robot."""
         members = *self.members[:i], *self.members[i + 1 :]
-        base = self.base.without_correction(self.members[i])
-        if base is not self.base:
-            return Fit(base, members)
-        kept = np.delete(np.arange(self.n_coefficients), self.slices[i])
-        reduced = self._B[:, kept], self._H[np.ix_(kept, kept)], self._q[kept]
-        return Fit(base, members, reduced)
+        return Fit(self.base.without_correction(self.members[i]), members)
 
 
 def declared_weights(problem):

@@ -16,10 +16,11 @@ from sklearn_vbjfa.model import import_pinocchio
 # Robots of up to this many joints are searched as a whole, so that effects may couple
 # branches, such as through a common drive.
 _MAX_JOINTS = 7
-# Fields of a fitted robot with a value for each joint.
-_BY_JOINT = ("noise_floor_", "torque_noise_", "output_noise_", "joint_weights", "waves")
-# Fields of a recording with a column for each joint but without rows.
-_COLUMNS = ("torque_noise", "feedback")
+# Fields with a value for each joint: of a fitted robot, of its plan, and (in columns)
+# of a recording, in addition to its rows.
+_OF_ROBOT = ("noise_floor_", "torque_noise_", "output_noise_", "joint_weights", "waves")
+_OF_PLAN = ("standstill", "stops", "fastest_period", "corners")
+_OF_RECORDING = ("torque_noise", "feedback")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,21 +30,23 @@ class Branch:
     joints: list  # its joints in the robot, ascending
     model: object
 
+    def _part(self, whole, names, axis):
+        """Restrict attributes, arrays with an axis of joints or None, a dict."""
+        values = {name: getattr(whole, name) for name in names}
+        return {
+            name: None if value is None else value.take(self.joints, axis)
+            for name, value in values.items()
+        }
+
     def robot(self, robot):
         """Restrict a fitted robot without effects to the branch."""
         # Its parameters do not affect the torques of other branches.
         features = RigidBodyFeatures(self.model, friction=robot.features_.friction_)
-        plan, fields = robot.plan, {}
-        for name in _BY_JOINT:
-            value = getattr(robot, name)
-            fields[name] = None if value is None else value[self.joints]
+        plan, fields = robot.plan, self._part(robot, _OF_ROBOT, 0)
         for name in ("theta_", "theta_unconstrained_"):
             by_joint = getattr(robot, name).reshape(len(plan.standstill), -1)
             fields[name] = by_joint[self.joints].ravel()
-        changes = {"standstill": plan.standstill[self.joints]}
-        for name in ("stops", "fastest_period", "corners"):
-            value = getattr(plan, name)
-            changes[name] = None if value is None else value[self.joints]
+        changes = self._part(plan, _OF_PLAN, 0)
         if plan.state_estimator is not None:
             estimator = select_joints(plan.state_estimator, self.joints)
             changes["state_estimator"] = estimator
@@ -53,12 +56,7 @@ class Branch:
     def recording(self, recording):
         """Restrict a recording to the joints of the branch."""
         rows = [name for name, width in recording.WIDTHS.items() if width == 1]
-        values = {name: getattr(recording, name) for name in (*_COLUMNS, *rows)}
-        columns = {
-            name: value[..., self.joints]
-            for name, value in values.items()
-            if value is not None
-        }
+        columns = self._part(recording, (*_OF_RECORDING, *rows), -1)
         if recording.states is not None:
             states = recording.states.reshape(recording.n_samples, 3, -1)
             columns["states"] = states[:, :, self.joints].reshape(len(states), -1)
@@ -117,6 +115,7 @@ def branches_of(robot, library, max_effects):
 
 def _branch_model(model, joints):
     """Build the model of a branch."""
+    # `buildReducedModel` fails if branches take turns in the order of the joints.
     pin = import_pinocchio()
     branch = pin.Model()
     branch.name, branch.gravity = model.name, model.gravity

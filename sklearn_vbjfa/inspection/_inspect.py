@@ -210,12 +210,9 @@ def inspect_channels(
     model, q, tau, dt, groups=None, *, bodies="prior", weight=None, timed=False, **known
 ):
     """Inspect channels that are given as arrays; see `inspect_recording`."""
-    # q, tau (n_samples, nv): as in `Recording`; tau may be a motor quantity.
-    # bodies: as in `RobotIdentifier`; if free, no common scale of torques is a fault.
-    # weight (n_samples, nv): zero for samples to ignore; timed: whether messages give
-    # times, since rows may be interpolated. known: drive, named, feedback, gains and
-    # poses of `Reading`. For commands, only the order of magnitude is tested; if gains
-    # are identified, no scale of a torque is a fault.
+    # tau: may be a motor quantity; bodies: as in `RobotIdentifier`; weight (n_samples,
+    # nv): zero for samples to ignore; timed: whether messages give times, since rows
+    # may be interpolated; known: further fields of `Reading`.
     robot, dt, poses = load_folded(model), check_dt(dt), known.get("poses")
     # Column-major order, since channels are processed one by one.
     q, tau = (np.asarray(x, dtype=float, order="F") for x in (q, tau))
@@ -229,23 +226,23 @@ def inspect_channels(
     groups = None if single else groups
     all_parts = contiguous_groups(groups, len(q))
     shuffled = [] if single else shuffled_rows(names, q, all_parts)
-    rows, parts = long_parts(len(q), groups, 1 if single else number.MIN_SAMPLES)
+    least = 1 if single else number.MIN_SAMPLES
+    rows, parts = long_parts(len(q), groups, least)
     if shuffled or not parts:
         return findings_in_order(shuffled)
     if len(rows) < len(q):
         q, tau = q[rows], tau[rows]
-    recordings = recording_names(groups, [part.start for part in all_parts])
-    sizes = (part.stop - part.start for part in all_parts)
-    recordings = [x for x, n in zip(recordings, sizes) if n >= number.MIN_SAMPLES]
+    starts = [x.start for x in all_parts if x.stop - x.start >= least]
+    recordings = recording_names(groups, starts)
 
     def place(row):
         if not timed:
             return f"row {rows[row]}"
         k = next(k for k, part in enumerate(parts) if row < part.stop)
         origin = f"in {recordings[k]}" if len(parts) > 1 else "after the start"
-        return f"{(row - parts[k].start) * period:.6g} s {origin}"
+        return f"{(row - parts[k].start) * dt:.6g} s {origin}"
 
-    log, period = Rows(robot, names, q, tau, dt, parts, place), dt
+    log = Rows(robot, names, q, tau, dt, parts, place)
     if weight is not None:
         log.usable &= weight[rows] > 0
         log.counted &= log.usable.any(axis=1)
@@ -261,8 +258,9 @@ def inspect_channels(
         rows, parts = subsample(parts, log.every)
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
+    known["recordings"] = recordings
     reading = Reading(robot, names, q, tau, dt, parts, usable, **known)
-    findings = _compare_recordings(reading, recordings)
+    findings = _compare_recordings(reading)
     excluded = {
         *(() if reading.gains is None else _SCALE_KINDS),
         "torque_unit" if bodies == "free" else "",
@@ -292,9 +290,8 @@ def _compare(reading):
     return findings + _unverified(reading)
 
 
-def _compare_recordings(reading, names):
+def _compare_recordings(reading):
     """Return findings of the consistent recordings, and of each deviating one."""
-    # Those that fit far worse than others, or with other masses.
     labels = [] if reading.is_uninformative() else reading.robot.signals.recording
     found = np.unique(labels).tolist()
     several = 1 < len(found) <= number.MANY
@@ -314,7 +311,7 @@ def _compare_recordings(reading, names):
     # A fit may correct a fault of all recordings, but not one of a single recording.
     for k, x in pairs:
         severity = "error" if x.severity == "error" else "warning"
-        message = f"Recording {names[k]} alone: {x.message}"
+        message = f"Recording {reading.recordings[k]} alone: {x.message}"
         common.append(replace(x, severity=severity, message=message, remedy={}))
     return common
 

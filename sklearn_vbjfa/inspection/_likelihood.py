@@ -90,8 +90,7 @@ class Bodies:
 class BodyFit:
     """Fit of described bodies, friction and offsets to the torques of some joints."""
 
-    # Log marginal likelihood of the torques divided by their standard deviations, which
-    # makes interpretations in other units and orders comparable.
+    # Log marginal likelihood of the torques over their standard deviations.
     evidence: float
     loss: np.ndarray  # (n_joints,): log unexplained share of each torque's variance
     factors: np.ndarray  # (m,): estimated factors of the extra columns
@@ -106,8 +105,8 @@ class BodyFit:
 class DescribedRobot:
     """A described robot with the signals of a log."""
 
-    # times (nv,): correlation times [rows] of residuals, the same for all
-    # interpretations of a log that are compared. X (n, nv, 10 nv): regressors.
+    # times (nv,): correlation times [rows], the same for all interpretations of a log.
+    # X (n, nv, 10 nv): regressors.
 
     def __init__(self, bodies, signals, times=None, X=None):
         self.bodies, self.signals = bodies, signals
@@ -337,10 +336,10 @@ def correlation_time(x):
 
 def _solve(joints, prior, m):
     """Return the `BodyFit` of joints with common parameters and separate noise."""
-    # joints: for each, indices of its common parameters, moments of [friction and
-    # offsets | these | torque] scaled to a standard normal prior, number of independent
-    # rows, and torque variance. The last m parameters are the factors. Noise variances
-    # are fixed points (MacKay, Bayesian interpolation, Neural Comp. 4, 1992).
+    # joints: of each, indices of its common parameters (the last m are the factors),
+    # moments of [friction and offsets | these | torque] at a standard normal prior,
+    # number of independent rows, and torque variance. Noise variances are fixed points
+    # (MacKay, Bayesian interpolation, Neural Comp. 4, 1992).
     used, moments, rows, total = zip(*joints)
     indices = np.unique(np.concatenate(used))
     rows, total = np.array(rows), np.array(total)

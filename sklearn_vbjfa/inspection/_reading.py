@@ -218,6 +218,7 @@ class Reading:
     named: bool = False  # whether columns carry the joints' names
     feedback: np.ndarray | None = None  # as in `Recording`
     gains: object = None  # as in `RobotIdentifier`; None: torques have a known size
+    recordings: tuple = ("0",)  # names of the recordings
     alone: bool = False  # whether it is one of several recordings
     poses: Signals | None = None  # poses and slow motion, in place of filtered rows
 
@@ -271,6 +272,7 @@ class Reading:
     def select_parts(self, numbers, alone=False):
         rows, parts = subsample([self.parts[k] for k in numbers], 1)
         channels = {x: getattr(self, x)[rows] for x in ("q", "tau", "usable")}
+        channels["recordings"] = tuple(self.recordings[k] for k in numbers)
         return replace(self, **channels, parts=parts, alone=alone)
 
     def is_uninformative(self):

@@ -10,15 +10,19 @@ from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._likelihood import Bodies
 from sklearn_vbjfa.inspection._sentences import finding, percent
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.recording import bridged, rows_alternate, rows_per_sample
+from sklearn_vbjfa.recording import (
+    bridged,
+    filled_gaps,
+    rows_alternate,
+    rows_per_sample,
+)
 
 
 class Rows:
     """Rows of a log, and the faults that checks find in them."""
 
     # q [rad or m], tau [N m or N] (n, nv): unwrapped, and interpolated over lost rows,
-    # by the first checks; parts: slices of the recordings, which hold all rows; place:
-    # returns the place of a row, as text.
+    # by the first checks; parts: slices of all rows; place: the text of a row's place.
 
     def __init__(self, robot, names, q, tau, dt, parts, place):
         self.robot, self.revolute = robot, ~is_prismatic(robot.model)
@@ -230,6 +234,8 @@ def _check_lost_rows(log):
     # They are interpolated for the later checks.
     if log.every > 1:
         return
+    gaps = [(x.start, filled_gaps(log.q[x], log.tau[x])) for x in log.parts]
+    filled = [(a + k, b + k) for k, runs in gaps for a, b in runs]
     empty = (log.tau == 0).all(axis=1)
     runs = _find_breaks(log, empty, 1)
     if len(runs) >= number.DROPOUT_RUNS or any(b > a for a, b in runs):
@@ -247,6 +253,9 @@ def _check_lost_rows(log):
         # sample period.
         serious = long or count > number.MANY_REPEATED * len(log.q)
         _report_lost(log, "repeated_rows", runs, "warning" if serious else "note")
+    if filled:
+        few = _mask(log.q, filled).mean() <= number.STUCK_SHARE
+        _report_lost(log, "interpolated_rows", filled, "note" if few else "warning")
 
 
 def _check_missing_rows(log):
@@ -369,8 +378,7 @@ def _check_coarse(log, j, x):
     if changes.size == 0:
         return False
     repeated = 1.0 - changes.size / step.size
-    # The quantisation step is the median change if the torque mostly stays on one
-    # level, and the smallest change if it passes several levels per sample or is held.
+    # The median change if the torque mostly stays on one level, else the smallest one.
     size = np.quantile(changes, 0.5 if repeated >= 0.5 and not log.held[j] else 0.02)
     spread = max(x[log.moving].std(), np.finfo(float).tiny)
     if size / np.sqrt(12) < number.COARSE * spread:
@@ -454,8 +462,7 @@ def _find_clipped(log, j, x, moving, mean=1):
         distance = np.abs(x - level)
         close = (distance <= width) & moving
         if level == 0:
-            # Zero is no limit of a drive: one sign was lost, unless the joint is at
-            # rest, values are absolute, or some readings were lost.
+            # One sign was lost, unless at rest, or only some readings were lost.
             close &= log.rows_in_motion(log.q[:, [j]])
             close &= close.mean() > number.STUCK_REPEATS
         # Noise divides a plateau.
@@ -498,6 +505,11 @@ def _check_positions(log):
         jumps = [k for k in _find_jumps(log.q[:, j], log.parts) if log.usable[k].any()]
         log.findings += _jump_findings(log.names, j, log.q[:, j], jumps, log.place)
         log.usable[_mask(log.q, [(max(k - 2, 0), k + 1) for k in jumps])] = False
+        log.q = log.q.copy() if jumps else log.q
+        for first, last, back in _jumps_together(log.q[:, j], jumps):
+            if back:
+                wrong, ends = np.arange(first, last), [first - 1, last]
+                log.q[wrong, j] = np.interp(wrong, ends, log.q[ends, j])
 
 
 def _find_standstill(log):
@@ -589,14 +601,28 @@ def _jump_findings(names, j, x, jumps, place):
     """Return the finding on jumps of a position at some rows, or no finding."""
     if not jumps:
         return []
-    # A single wrong sample is a jump there and back.
-    sizes = np.array([x[k] - x[k - 1] for k in jumps])
-    pairs = np.add.reduceat(sizes, range(0, len(sizes), 2))
-    severity = "note" if abs(pairs).max() < 0.5 * abs(sizes[0]) else "warning"
-    facts = {"count": len(jumps), "step": sizes[0], "place": place(jumps[0])}
-    if severity == "warning" and len(jumps) >= number.FEWEST_STEPS:
+    groups = [back for *_, back in _jumps_together(x, jumps)]
+    lasting = groups.count(False)
+    step = x[jumps[0]] - x[jumps[0] - 1]
+    facts = {"count": len(jumps), "step": step, "place": place(jumps[0])}
+    if lasting >= number.FEWEST_STEPS:
         return [finding("shuffled_rows:blocks", names, j, "error", **facts)]
-    return [finding("position_jumps", names, j, severity, **facts)]
+    kind = "position_jumps" if lasting else "position_jumps:outliers"
+    severity = "warning" if lasting else "note"
+    return [finding(kind, names, j, severity, **facts | {"groups": len(groups)})]
+
+
+def _jumps_together(x, jumps):
+    """List first and last row of near jumps, and whether the position returns."""
+    # Wrong samples are jumps there and back.
+    groups, step = [], np.diff(x, prepend=x[:1])
+    apart = np.flatnonzero(np.diff(jumps) > number.NEAR_ROWS) + 1
+    for rows in np.split(jumps, apart) if jumps else ():
+        first, last = int(rows[0]), int(rows[-1])
+        shift = step[first : last + 2] - 0.5 * (step[first - 1] + step[last + 2])
+        back = bool(abs(shift.sum()) <= 0.5 * abs(shift).max())
+        groups.append((first, max(last, first + back), back))
+    return groups
 
 
 def wrong_states(recording):

@@ -39,7 +39,7 @@ _MODULES = {
         "take_rows",
         "with_torques_shifted",
     ),
-    "_clock": ("check_time_stamps", "rows_alternate", "rows_per_sample"),
+    "_clock": ("check_time_stamps", "filled_gaps", "rows_alternate", "rows_per_sample"),
     "_grid": ("Log", "interpolate", "join"),
     "_table": ("RecordingRefused", "listed", "quoted"),
     "formats": ("expand", "recordings_in"),

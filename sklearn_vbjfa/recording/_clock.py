@@ -19,8 +19,7 @@ from sklearn_vbjfa.recording._table import (
     usual_step,
 )
 
-# Deviation from a regular grid, as a share of the period, that rounding of time stamps
-# explains.
+# Deviation from a regular grid that rounding explains, as a share of the period.
 STEADY = 0.02
 # A step longer than this many periods is a gap, across which nothing is interpolated.
 GAP_PERIODS = 5.0
@@ -28,14 +27,13 @@ GAP_PERIODS = 5.0
 DT_TOLERANCE = 0.05
 # Relative difference below which periods are equal.
 SAME_DT = 1e-3
-# Length of the moving average of time stamps [rows]. Stamps whose deviation from it is
-# below the first share of a period determine the number of missing rows. A moving
-# average that deviates by the second share implies missing rows or a varying period.
+# Length of the moving average of time stamps [rows], largest deviation from it that
+# determines the number of missing rows, and deviation of a varying period [periods].
 _WINDOW, _SMALL, _LARGE = 64, 0.25, 0.5
 # Without a period that fits the steps, more than this share of gaps is refused.
 _MAX_GAPS = 0.02
-# Rows were sampled at irregular times if the stamps reduce the log of the squared
-# prediction error of positions, summed over joints, by this much against the grid.
+# Sampling was irregular if stamps reduce the log squared prediction error of positions,
+# summed over joints, by this.
 _MIN_GAIN = 0.2
 
 
@@ -46,8 +44,7 @@ class TimeStamps:
     dt: float  # sample period [s]
     # "" for regular stamps; "sampled" at irregular times, or regularly, stamped "late"
     irregular: str
-    # sample index of each row, from 0 in each piece between gaps; meaningless if
-    # "sampled"
+    # sample index of each row between gaps, from 0; meaningless if "sampled"
     slots: np.ndarray
     steps: np.ndarray  # steps between stamps, without gaps [s]
     gaps: np.ndarray  # rows that precede a gap
@@ -57,9 +54,8 @@ def inspect_time_stamps(
     t, dt=None, where="row {}".format, positions=None, tolerance=DT_TOLERANCE
 ):
     """Analyse the stamps t (n_samples,) [s] of one recording, return `TimeStamps`."""
-    # dt: known period [s], up to a relative tolerance; where: function that names a row
-    # (from 0) in messages; positions (n_samples, nv): used to decide whether irregular
-    # stamps are the times of sampling; without them, sampling is assumed regular.
+    # dt: known period [s], up to a relative tolerance; where: names a row (from 0) in
+    # messages; positions (n_samples, nv): decide whether sampling was irregular.
     t = np.asarray(t, dtype=float)
     if t.ndim != 1 or t.size < 2:
         raise ValueError(f"t must hold two time stamps or more, got shape {t.shape}.")
@@ -98,9 +94,8 @@ def _check_increasing(t, where):
             row = int(np.argmax(invalid)) + 1
             raise ValueError(
                 f"time {text} {t[row]:.9g} s in {where(row)} ({invalid.sum()} of "
-                f"{t.size} rows): sort the rows, write the stamps with more digits, "
-                "mark separate recordings in a column segment, or leave the stamps out "
-                "and give dt."
+                f"{t.size} rows): sort the rows, write more digits, mark recordings in "
+                "a column segment, or leave the stamps out and give dt."
             )
 
 
@@ -153,8 +148,7 @@ def _classify_jitter(t, grid, pieces, positions, period):
             raise ValueError(
                 f"time wanders by {wander:.4g} s about steps of {period:.4g} s, and "
                 "positions do not follow it: rows are missing, or the period changes. "
-                "Correct t, mark recordings of other periods in a column segment, or "
-                "leave t out and give dt if rows are equidistant."
+                "Correct t, mark periods in a column segment, or give dt in its place."
             )
     return "late"
 
@@ -190,8 +184,7 @@ def rows_alternate(q):
 
 
 # Samples of a window over which a slower source is regular, share of such windows,
-# least difference of its period from whole rows, and least factor of its typical step
-# over the smallest one (a coarse encoder has one step).
+# difference from whole rows, and least factor of its typical over its smallest step.
 _SAMPLES, _REGULAR, _BEAT, _STEP = 32, 0.9, 0.05, 4.0
 
 
@@ -215,8 +208,7 @@ def rows_per_sample(t, q):
 
 def source_samples(t, q):
     """Find the samples of a regular source in rows (n, nv) that repeat some of them."""
-    # Returns the first row of each sample, its time and the period of the source, or
-    # None if each row, or each k-th, has new positions.
+    # Returns the first row and the time of each sample, and the period, or None.
     rate = rows_per_sample(t, q)
     if not rate % 1:
         return None
@@ -232,6 +224,36 @@ def source_samples(t, q):
     return rows, t[0] + period * index, period
 
 
+# Largest bend of a straight line as a share of the median bend of the channel, and log
+# odds against chance of rows that lie on one in all channels.
+_STRAIGHT, _NO_CHANCE = 0.1, 25.0
+
+
+def filled_gaps(q, tau):
+    """List first and last rows of gaps that were filled by straight lines."""
+    # q, tau (n, nv): all channels of a recording.
+    inside, odds, least = np.ones(len(q), dtype=bool), 0.0, []
+    inside[[0, -1]] = False
+    for x in (*q.T, *tau.T):
+        step = np.diff(x, prepend=x[0])
+        bend = np.diff(step, append=0.0)
+        # Rounding bends a line by up to twice the resolution.
+        resolution = np.abs(step[step != 0]).min(initial=np.inf)
+        least.append(max(_STRAIGHT * np.median(np.abs(bend)), 2 * resolution))
+        straight = np.abs(bend) <= least[-1]
+        inside &= straight
+        # Bends of noise alternate; those of a smooth or coarse channel prove nothing.
+        if least[-1] > 2 * resolution and (bend[1:] * bend[:-1] < 0).mean() > 0.5:
+            odds -= np.log(max(straight.mean(), 1e-300))
+    # Measured rows before and after each run.
+    ends = np.flatnonzero(np.diff(inside)).reshape(-1, 2) + [0, 1]
+    size = ends[:, 1] - ends[:, 0]
+    ends = ends[(size > GAP_PERIODS) & (odds * size > _NO_CHANCE)]
+    travel = [np.abs(x[ends[:, 1]] - x[ends[:, 0]]) for x in (q, tau)]
+    moves = (np.hstack(travel) > least).reshape(*ends.shape, q.shape[1]).any(axis=2)
+    return (ends[moves.all(axis=1)] + [1, -1]).tolist()
+
+
 # Relative error of the period that is refused, but at least one row per recording:
 # accelerations change with its square. The second is a relative tolerance of steps.
 _PERIOD_TOLERANCE, _STEP_TOLERANCE = 0.002, 0.1
@@ -239,8 +261,7 @@ _PERIOD_TOLERANCE, _STEP_TOLERANCE = 0.002, 0.1
 
 def check_time_stamps(t, dt, parts):
     """Refuse stamps t (n,) [s] that contradict dt [s], warn of irregular ones."""
-    # Steps between the slices `parts` are not checked. Without dt, rows need not be
-    # equidistant, and stamps only have to increase.
+    # parts: slices, each checked for itself. Without dt, stamps only have to increase.
     for part in parts if t is not None else ():
         part_t, first = np.asarray(t[part], dtype=float), part.start
         _check_increasing(part_t, lambda k, first=first: f"row {first + k}")
@@ -258,9 +279,8 @@ def check_time_stamps(t, dt, parts):
         if np.abs(stamps.steps / dt - 1).max() > _STEP_TOLERANCE:
             warnings.warn(
                 f"steps between time stamps from row {first} on vary from "
-                f"{stamps.steps.min():.6g} to {stamps.steps.max():.6g} s, dt={dt:.6g} "
-                "s; rows count as equidistant. Resample, unless only the stamps are "
-                "irregular.",
+                f"{stamps.steps.min():.6g} to {stamps.steps.max():.6g} s (dt={dt:.6g} "
+                "s): resample, unless only the stamps are irregular.",
                 UserWarning,
                 stacklevel=3,
             )
@@ -268,12 +288,11 @@ def check_time_stamps(t, dt, parts):
 
 # Maximum share of rows with missing values that are dropped.
 _MAX_HOLES = 0.1
-# Zero-torque rows of a second source have at least this share of all rows and this
-# number of runs, with at most this median length.
+# Least share and number of runs of zero-torque rows of a second source, and their
+# largest median length.
 _MIN_SHARE, _MIN_RUNS, _MAX_RUN = 0.02, 10, 3
-# Fill values of missing data are not zero, occur at least this often, and differ from
-# all other values by this many of their ranges; a channel has more distinct values than
-# the last number.
+# Fill values are not zero, occur at least this often, differ from all others by this
+# many of their ranges, and the others have more distinct values than the last number.
 _COUNT, _SPANS, _MIN_LEVELS = 3, 3.0, 16
 
 

@@ -14,6 +14,7 @@ from sklearn_vbjfa.recording._clock import (
     GAP_PERIODS,
     SAME_DT,
     STEADY,
+    filled_gaps,
     inspect_time_stamps,
     nanoseconds,
     prediction_errors,
@@ -27,8 +28,7 @@ from sklearn_vbjfa.recording._table import RATE_RATIO, Loss
 _MIN_SAMPLES = 16
 # Lower quartile of the absolute value of a standard normal variable.
 _QUARTILE = 0.3186
-# Files in which more than this share of rows repeats a time stamp are refused. Sources
-# that write in turn have fewer rows in common.
+# Largest share of rows that repeat a time stamp, or that sources have in common.
 _MAX_REPEATED = 0.1
 
 
@@ -44,10 +44,8 @@ class Log:
 
 def interpolate(t, channels, dt: float, grid=None):
     """Interpolate channels (n, ...) from times t (n,) [s] on a grid."""
-    # Positions "q" are interpolated by a cubic spline, commands by a zero-order hold,
-    # and all other channels, which are noisier, linearly. The default grid has the
-    # period dt [s].
-
+    # Positions "q" by a cubic spline, commands by a zero-order hold, and all others,
+    # which are noisier, linearly; by default at multiples of dt [s].
     if grid is None:
         # The tolerance keeps the last grid point despite rounding of t.
         grid = dt * np.arange(int(np.floor(t[-1] / dt + STEADY)) + 1)
@@ -161,8 +159,7 @@ _LOG_GAP_PERIODS = 10.0
 
 def join(logs, *, dt: float, resample=True) -> dict:
     """Concatenate logs into the array fields of a `Recording`."""
-    # With `resample`, each log is interpolated on multiples of dt, and split at long
-    # gaps into recordings "name [1]", "name [2]", ...
+    # resample: interpolate on multiples of dt, and split at gaps ("name [1]", ...).
     if resample:
         gaps = [np.flatnonzero(np.diff(x.t) > _LOG_GAP_PERIODS * dt) for x in logs]
         logs = [log for x, gap in zip(logs, gaps) for log in _split(x, dt, gap + 1)]
@@ -199,8 +196,7 @@ def resample_files(files, names) -> dict:
     if slow.stamps.dt > (1 + 2 * DT_TOLERANCE) * fast.stamps.dt:
         raise ValueError(
             f"{fast.file.path} has a sample period of {fast.stamps.dt:.6g} s and "
-            f"{slow.file.path} one of {slow.stamps.dt:.6g} s: resample one of them, or "
-            "process them separately."
+            f"{slow.file.path} one of {slow.stamps.dt:.6g} s: resample one of them."
         )
     # Median of the sample periods.
     dt = by_period[(len(by_period) - 1) // 2].stamps.dt
@@ -261,6 +257,13 @@ def _segments(file, name):
                 f"period of {period:.4g} s: left out."
             )
             rows, dt = rows[first], None
+        if gaps := filled_gaps(positions[rows], file.channels["tau"][rows]):
+            filled = np.concatenate([np.arange(a, b + 1) for a, b in gaps])
+            file.notes.append(
+                f"{filled.size} row(s), first {file.where(rows[filled[0]])}, are on "
+                "straight lines in all channels: filled gaps, left out."
+            )
+            rows, t = np.delete(rows, filled), np.delete(t, filled)
         try:
             stamps = inspect_time_stamps(
                 t, dt, lambda k, rows=rows: file.where(rows[k]), positions[rows]
@@ -288,9 +291,8 @@ def _resample_file(segments, dt):
     if not pieces:
         mean = np.ptp(file.t) / max(file.t.size - 1, 1)
         raise ValueError(
-            f"{file.path}: stamps come in bursts, no {_MIN_SAMPLES} of them without a "
-            f"gap of more than {GAP_PERIODS:g} periods of {dt:.4g} s; if rows are "
-            f"equidistant, leave t out and give dt ({mean:.4g} s by their number)."
+            f"{file.path}: stamps come in bursts: no {_MIN_SAMPLES} of them without a "
+            f"gap; if rows are equidistant, leave t out and give dt ({mean:.4g} s)."
         )
     return pieces
 

@@ -367,8 +367,7 @@ def channel_unit(table: Table, role: Role) -> Unit | None:
 
 def match_pattern(pattern: str, table: Table, kind: str) -> list[Role]:
     """Return the roles of columns that match a pattern."""
-    # {i} matches a number, {joint} and * any text. A name matches with or without its
-    # unit.
+    # {i} matches a number, {joint} and * any text; the unit may be missing.
     bare, unit = split_unit(pattern)
     if table.nameless:
         return _columns_at(bare, unit, table, kind)

@@ -45,8 +45,7 @@ def join_tables(tables, joints) -> Table:
     if len(named) < 2:
         raise ValueError(
             f"{path}: fewer than two of {listed([x.path.name for x in tables])} can be "
-            "joined; name them after what they hold: positions, velocities, torques, "
-            "currents or time."
+            "joined; name them after what they hold, such as positions or torques."
         )
     # Tables with time stamps first, among these the table of positions.
     layouts = [(x, assign_by_name(x, joints)) for x in named]
@@ -168,9 +167,8 @@ def _row_indices(part, base, t, base_t):
     if t is None or base_t is None:
         if n != len(base.frame):
             raise ValueError(
-                f"{part.path}: has {n} rows and {name} has {len(base.frame)}; files "
-                "without time stamps are joined row by row: cut both to the same rows, "
-                "or give each a column t."
+                f"{part.path}: has {n} rows and {name} has {len(base.frame)}: cut both "
+                "to the same rows, or give each a column t."
             )
         return np.arange(float(n))
     if np.array_equal(t, base_t):

@@ -319,8 +319,7 @@ def bridged(recording):
 
 def with_torques_shifted(recording, lag):
     """Return a recording with torques read at times later by a lag [s]."""
-    # Torques between rows are interpolated, with the smaller of their two neighbours'
-    # weights. Rows whose torques lie outside the recording have zero weight.
+    # Between rows, the smaller weight applies; outside the recording, it is zero.
     if not lag:
         return bridged(recording)
     parts, old_weight = recording.segments, recording.weight
@@ -339,9 +338,8 @@ def take_arrays(
     X, y, groups=None, weight=None, t=None, *, dt, joint_names, signals=None
 ):
     """Build a recording from the validated arguments of a fit or a prediction."""
-    # X: positions (n_samples, nv) or states (n_samples, 3 nv); y, weight (n_samples,
-    # nv), None for zero torques; groups: labels in any form; t: time stamps; dt [s];
-    # signals (n_samples,) by name.
+    # X: positions (n_samples, nv) or states (n_samples, 3 nv); y: None for no torques;
+    # groups: labels in any form; signals (n_samples,) by name.
     nv, segments = len(joint_names), contiguous_groups(groups, X.shape[0])
     return Recording(
         name="",
@@ -360,10 +358,9 @@ def take_arrays(
 
 
 def recording_names(groups, starts):
-    """Return the name of each recording: its label, or its number from 1."""
-    numbers = [str(k) for k in range(len(starts) + 1)]
-    labels = numbers[1:] if groups is None else [*map(str, np.asarray(groups)[starts])]
-    return tuple(numbers[1:] if labels == numbers[:-1] else labels)
+    """Return the name of each recording: its label, by default its number from 0."""
+    labels = range(len(starts)) if groups is None else np.asarray(groups)[starts]
+    return tuple(map(str, labels))
 
 
 def _segment_labels(segments):

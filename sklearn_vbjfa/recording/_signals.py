@@ -9,13 +9,9 @@ import numpy as np
 from sklearn_vbjfa.recording._drives import COMMANDS, OF_MOTORS
 from sklearn_vbjfa.recording._table import quoted
 
-# A column duplicates a channel if their squared correlation reaches this value: the
-# remaining variance is noise and quantisation.
-_COPY = 0.95
-# Columns that were not requested are excluded from this squared correlation on, since
-# references and currents follow the motion with a lag and an error. (In a short
-# recording, slow signals and positions reach 0.5 by chance.)
-_RELATED = 0.8
+# Squared correlation from which a column duplicates a channel (the rest is noise), and
+# from which one that was not requested is excluded, such as a reference or a current.
+_COPY, _RELATED = 0.95, 0.8
 # Maximum number of columns named in a message.
 _MAX_NAMES = 5
 # Share of a clock's variance that is not linear in time: jitter and rounding.
@@ -284,9 +280,8 @@ _NON_SIGNALS = ("t", "time", "segment", "group", "groups")
 
 def positions_and_signals(X, names):
     """Return positions or states in the model's joint order, and other columns."""
-    # Columns of a data frame are ``q_<joint>``, ``<joint>``, or ``q1, q2, ...`` (from 0
-    # if there is a ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``,
-    # ``a1``. Time, labels of recordings and other channels of joints are not signals.
+    # Columns of a data frame are ``q_<joint>``, ``<joint>``, or ``q1, ...`` (or from
+    # ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``, ``a1``.
     columns, by_kind = _columns_by_kind(X, names, "q")
     if "q" not in by_kind:
         return _refuse_foreign(X, names, "X", "qva"), OfferedSignals()
@@ -304,8 +299,7 @@ def carries_joint_names(X, names):
 
 def torques_in_order(y, names):
     """Return a data frame of torques in the model's joint order."""
-    # Columns are ``tau_<joint>``, ``<joint>``, or ``tau1, tau2, ...`` (from 0 if there
-    # is a ``tau0``).
+    # Columns are ``tau_<joint>``, ``<joint>``, or ``tau1, ...`` (or from ``tau0``).
     columns, by_kind = _columns_by_kind(y, names, "tau")
     if "tau" in by_kind and len(columns) == len(names):
         return y[by_kind["tau"]]
@@ -344,7 +338,6 @@ def _refuse_foreign(frame, names, what, kinds):
         return frame
     expected = [f"{kind}_{name}" for kind in kinds[:count] for name in names]
     raise ValueError(
-        f"{what} has columns {', '.join(columns)}; expected {', '.join(expected)} in "
-        "any order (or the joints' names alone). Rename the columns, or give an array "
-        f"({what}.to_numpy()) in the robot's order."
+        f"{what} has columns {', '.join(columns)}; expected {', '.join(expected)}, or "
+        f"the joints' names alone; or an array ({what}.to_numpy()) in their order."
     )

@@ -12,6 +12,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.inspection import ChannelFinding, inspect_channels, inspect_recording
 from tests._quick import one_in
+from tests.inspection.test_hypotheses import chain
 
 # Documented properties of the measured sets: the currents of the last three joints of
 # TIAGo take about forty values.
@@ -311,13 +312,7 @@ def test_coarse_torque_depends_on_step_relative_to_standard_deviation():
 
 
 def test_encoder_counts_of_a_joint_without_limits():
-    import pinocchio as pin
-
-    model = pin.Model()
-    number = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "wheel")
-    model.appendBodyToJoint(
-        number, pin.Inertia.FromBox(2.0, 0.1, 0.1, 0.4), pin.SE3(np.eye(3), np.ones(3))
-    )
+    model = chain(("wheel", "RY", 0))
     t = 0.01 * np.arange(3000)
     turning = 6.0 * t + np.sin(2 * t)
     rng = np.random.default_rng(0)

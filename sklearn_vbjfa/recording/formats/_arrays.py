@@ -151,8 +151,7 @@ def _to_array(path, name, values):
     except (TypeError, ValueError, OverflowError) as error:
         raise RecordingRefused(
             f"{path}: {quoted(name)} holds {quoted(sample)} and others that are not "
-            "numbers, or lists of other lengths; write one number, or equally long "
-            "lists of them, for each sample."
+            "numbers; write one, or equally long lists of them, for each sample."
         ) from error
 
 
@@ -256,8 +255,7 @@ def _table_of_object(path, data):
         if len(lengths) > 1 and _max_length(data) < max(lengths):
             raise ValueError(
                 f"{path}: the list {name!r} has {len(data[name])} records with arrays "
-                "of different lengths; write one file each, or rows with a column "
-                "segment."
+                "of different lengths; write one file for each."
             )
     return _table_of_arrays(path, _strip_common_prefix(_flatten(data)))
 
@@ -407,8 +405,8 @@ def _joint_states(shown, topic, names, values, times, wanted):
     notes = [f"read from {topic}: {mapping} of {', '.join(joints)}."]
     if others:
         notes.append(
-            f"joint(s) {listed(others)} of {topic} left out: the robot has none of "
-            "that name, or they come in other messages, or without numbers."
+            f"joint(s) {listed(others)} of {topic} left out: not those of the robot, "
+            "in other messages, or without numbers."
         )
     if not rows.all():
         note = (

@@ -3,10 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy import special
+from scipy import fft, special
 
 from sklearn_vbjfa._core._linear_systems import or_one
-from sklearn_vbjfa.diagnosis.explain._curves import residual_curves, torque_curves
 from sklearn_vbjfa.diagnosis.explain._gaps import memory_seconds
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.equations._equations import torque_spread
@@ -18,10 +17,6 @@ NEXT_SECONDS = 50.0
 # (equal-weighted cosines with fixed-b critical values: Lazarus, Lewis, Stock, Watson,
 # "HAR inference: recommendations for practice", J. Bus. Econ. Stat. 36(4), 2018).
 _COSINES = 10
-# Quantile of the absolute residuals that is the threshold of collision detection.
-_QUANTILE = 0.999
-# Number of joints whose curves are drawn, those with the largest errors.
-_N_DRAWN = 3
 
 
 def held_out_errors(loop, search, split, thinned, whole):
@@ -29,33 +24,30 @@ def held_out_errors(loop, search, split, thinned, whole):
     # search: its result; thinned: the split with the rows that the search used.
     # Arrays (nv,) and (2, nv) are over the standard deviation of the torque.
     declared, plain = loop.declared_, loop.baseline_
-    completed, view, dt = loop.validation_model_, search.view, declared.dt
+    completed, view, dt = loop.validation_model_, search.view, loop.declared_.dt
     # The correlation time may be infinite.
     guard = int(min(memory_seconds(search) / whole.dt, whole.n_samples))
     guarded = split.without(whole.t, search.changes).with_guard(guard)
     used, n_rows = view.root.any(axis=0), len(view.states)
 
-    def residuals(part, rows):
+    def residuals(part, rows, used=1.0):
         """Residuals of each model on some rows of the whole recording."""
+        # Also with equal weights: a completed model whose friction has memory has
+        # weight in rows at rest.
         models = dict.fromkeys((declared, plain, completed))
         results = {model: model.robot_.residuals_of(part) for model in models}
-        return {k: replace(x, index=rows[x.index]) for k, x in results.items()}
+        common = {"index": rows[results[completed].index]}
+        common["weight"] = results[completed].weight * used
+        return results, {model: replace(x, **common) for model, x in results.items()}
 
-    def equally_weighted(results, used=1.0):
-        """Give the residuals of all models the same weights."""
-        # A completed model whose friction has memory also has weight in rows at rest.
-        weight = results[completed].weight * used
-        return {model: replace(x, weight=weight) for model, x in results.items()}
-
-    held_out = residuals(guarded.held_out(whole), np.r_[guarded.stretches])
-    searched = residuals(thinned.searched(whole), thinned.rows)
-    fitted = searched[plain]
+    rows = np.r_[guarded.stretches]
+    own_weights, held_out = residuals(guarded.held_out(whole), rows)
+    fitted, searched = residuals(thinned.searched(whole), thinned.rows, used)
     if thinned is not split:
-        fitted = plain.robot_.residuals_of(split.searched(whole), predicts=False)
-    spread = torque_spread(fitted, held_out[declared])
-    held_out, searched = equally_weighted(held_out), equally_weighted(searched, used)
-    before, after = held_out[declared], held_out[completed]
-    weight = after.weight
+        searched_rows = split.searched(whole)
+        fitted = {plain: plain.robot_.residuals_of(searched_rows, predicts=False)}
+    spread = torque_spread(fitted[plain], own_weights[declared])
+    weight = held_out[completed].weight
 
     def intervals(model):
         pairs = ((x[model], x[completed]) for x in (held_out, searched))
@@ -65,19 +57,12 @@ def held_out_errors(loop, search, split, thinned, whole):
     full = np.maximum(weight.max(axis=0), np.finfo(float).tiny)
     seconds = (weight / full).sum(axis=0) * view.step
     values = 2.0 * min(completed.cutoff_, 0.5 / dt) * seconds
-    threshold = np.full(spread.size, np.nan)
-    for j in np.flatnonzero((weight > 0).any(axis=0)):
-        residual = after.residual[weight[:, j] > 0, j]
-        threshold[j] = np.quantile(np.abs(residual), _QUANTILE)
-    error = after.relative_error(spread)
-    worst = np.argsort(-np.nan_to_num(error, nan=-1), kind="stable")[:_N_DRAWN].tolist()
     return {
         "columns": {
-            "before": before.relative_error(spread),
+            "before": held_out[declared].relative_error(spread),
             "plain": held_out[plain].relative_error(spread),
-            "after": error,
+            "after": held_out[completed].relative_error(spread),
             "spread": spread,
-            "threshold": threshold,
             "seconds": seconds,
             "enough": values >= FEWEST_VALUES,
             "searched": used,
@@ -89,11 +74,7 @@ def held_out_errors(loop, search, split, thinned, whole):
             "held_out_seconds": len(weight) * float(view.step),
             "guard_seconds": float(guard * dt),
         },
-        "curves": {
-            "index": before.index,
-            "residuals": residual_curves(after, dt, worst),
-            "torques": torque_curves(before, after, whole.t, worst),
-        },
+        "residuals": (held_out[declared], held_out[completed]),
     }
 
 
@@ -115,8 +96,6 @@ def error_intervals(held_out, searched, spread, step):
     if freedom < 1:
         return dict.fromkeys(("after", "difference"), np.full((2, nv), np.nan))
     before, after = (part.relative_error(spread) for part in held_out)
-    waves = np.outer(np.arange(1, freedom + 1), np.arange(m) + 0.5)
-    cosines = np.sqrt(2.0 / m) * np.cos(np.pi * waves / m)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         # Linearised logarithm of each error, about its mean over the weighted rows.
         squares = [weight * in_time("residual", k) ** 2 for k in (0, 1)]
@@ -128,7 +107,8 @@ def error_intervals(held_out, searched, spread, step):
 
         def half_width(values):
             """Return the half-width of the interval of the mean of rows (m, nv)."""
-            variance = ((cosines @ values) ** 2).mean(axis=0) * factor
+            cosines = fft.dct(values, axis=0, norm="ortho")[1 : freedom + 1]
+            variance = (cosines**2).mean(axis=0) * factor
             return special.stdtrit(freedom, 0.95) * np.sqrt(variance)
 
         ends, change = np.array([[-1.0], [1.0]]), after * logs[1] - before * logs[0]

@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 import sklearn
 
+from sklearn_vbjfa.diagnosis.explain._curves import residual_curves, torque_curves
 from sklearn_vbjfa.diagnosis.explain._effects import discovered_effects
 from sklearn_vbjfa.diagnosis.explain._errors import NEXT_SECONDS
 from sklearn_vbjfa.diagnosis.explain._gaps import (
@@ -32,8 +33,10 @@ from sklearn_vbjfa.robot._posterior import body_indices
 
 # Limits that count as unlimited.
 _UNLIMITED = 1e3
-# Attributes of curves that are readings of torque channels.
-_READINGS = {"measured", "before", "after", "predicted", "residual"}
+# Quantile of the absolute residuals that is the threshold of collision detection.
+_QUANTILE = 0.999
+# Number of joints whose curves are drawn, those with the largest errors.
+_N_DRAWN = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,28 +146,26 @@ def make_outcome(loop, search, final, judged, channels, whole):
     effects = tuple(discovered_effects(search, final, names, prismatic, *doubts))
     judged_effects = loop.validation_model_.effects_
     parameters = parameter_values(identifier)
-    units, curves = np.where(prismatic, "N", "N m").tolist(), judged["curves"]
+    units = np.where(prismatic, "N", "N m").tolist()
     if identifier.gains_ is not None and not identifier.gains_.absolute:
         gains, recorded = np.ones(spread.size), whole.torque_units
         units = ["channel units" if x in ("N m", "N", "") else x for x in recorded]
-    columns |= {"spread": spread / gains, "threshold": columns["threshold"] / gains}
-    for curve in (*curves["residuals"], *curves["torques"]):
-        for name in _READINGS & vars(curve).keys():
-            vars(curve)[name] /= gains[curve.joint]
+    columns |= {"spread": spread / gains, "threshold": np.full(spread.size, np.nan)}
+    residuals = [
+        replace(x, torque=x.torque / gains, predicted=x.predicted / gains)
+        for x in judged["residuals"]
+    ]
+    used, size = residuals[1].weight > 0, np.abs(residuals[1].residual)
+    for j in np.flatnonzero(used.any(axis=0)):
+        columns["threshold"][j] = np.quantile(size[used[:, j], j], _QUANTILE)
+    intervals = {key: zip(*ends.tolist()) for key, ends in judged["intervals"].items()}
+    columns |= {"joint": range(spread.size), "name": names, "unit": units}
+    columns |= {"position_unit": np.where(prismatic, "m", "rad")}
+    worst = np.argsort(-np.nan_to_num(after, nan=-1), kind="stable")[:_N_DRAWN].tolist()
     outcome = Outcome(
         errors=tuple(
-            JointErrors(
-                joint=j,
-                name=name,
-                unit=units[j],
-                position_unit="m" if prismatic[j] else "rad",
-                intervals={
-                    key: tuple(ends[:, j].tolist())
-                    for key, ends in judged["intervals"].items()
-                },
-                **{key: values[j].item() for key, values in columns.items()},
-            )
-            for j, name in enumerate(names)
+            JointErrors(intervals=ends, **row)
+            for ends, row in zip(_rows(intervals), _rows(columns))
         ),
         findings={
             "effects": tuple(e for e in effects if not e.warning),
@@ -186,7 +187,11 @@ def make_outcome(loop, search, final, judged, channels, whole):
             *_expected(expectation, names),
         ),
         robot=_robot(loop, search, identifier, whole),
-        curves=curves,
+        curves={
+            "index": residuals[0].index,
+            "residuals": residual_curves(residuals[1], loop.declared_.dt, worst),
+            "torques": torque_curves(*residuals, whole.t, worst),
+        },
         provenance={
             "recordings": tuple(map(str, whole.group_names)),
             "samples": int(whole.n_samples),
@@ -269,14 +274,19 @@ def parameter_values(robot):
     columns = {
         "name": names,
         "joint": [max(x, key=lambda j: len(joints[j]), default=None) for x in owners],
-        "value": theta.tolist(),
+        "value": theta,
         "interval": zip((theta - half).tolist(), (theta + half).tolist()),
         "unit": robot.parameter_units_,
         "source": robot.robot_.known_,
-        "described": nominal.tolist(),
+        "described": nominal,
     }
-    rows = (dict(zip(columns, row)) for row in zip(*columns.values()))
-    return tuple(Fact(kind="parameter", **row) for row in rows)
+    return tuple(Fact(kind="parameter", **row) for row in _rows(columns))
+
+
+def _rows(columns):
+    """Return the rows of a table as dicts; columns are arrays or iterables."""
+    values = (x.tolist() if isinstance(x, np.ndarray) else x for x in columns.values())
+    return [dict(zip(columns, row)) for row in zip(*values)]
 
 
 def _masses(robot, parameters):

@@ -98,25 +98,12 @@ class Groups:
         # of the group's block (Tipping and Faul, AISTATS 2003).
         return np.logaddexp.reduce(self._along(scale), axis=0)
 
-    def most_evidence(self, scale):
-        """Upper bounds (c,) of the evidence, faster to compute for positive groups."""
-        # At any scale the likelihood ratio of the best coefficients is an upper bound.
-        return 0.5 * self.gain() if self.positive else self.evidence(scale)
-
     def discounted(self, excess):
         """Return the moments of a likelihood discounted for overdispersion."""
         value, rest, vectors = self._spectral
         spectral = value / excess.ratio, rest / excess.ratio, vectors
         moments = {x: getattr(self, x) / excess.ratio for x in ("H", "q", "own")}
-        return self._with(spectral, **moments, freedom=excess.freedom)
-
-    def part(self, at):
-        arrays = {name: getattr(self, name)[at] for name in ("H", "q", "own", "unit")}
-        return self._with(tuple(x[at] for x in self._spectral), **arrays)
-
-    def _with(self, spectral, **changes):
-        """Return the groups with other moments and their eigendecomposition."""
-        groups = replace(self, **changes)
+        groups = replace(self, **moments, freedom=excess.freedom)
         groups.__dict__["_spectral"] = spectral
         return groups
 

@@ -108,6 +108,25 @@ def coarser(lowpass, every):
     return replace(lowpass, taps=taps / taps.sum(), step=lowpass.step // every)
 
 
+def coarser_rows(parts, lowpass, every):
+    """Thin the rows of parts by an integer factor; return rows and thinned parts."""
+    # The outputs of the coarser low-pass lie on the samples of those of the original.
+    if every == 1:
+        return slice(None), tuple(parts)
+    half = lowpass.half // every
+    rows, slices, first = [], [], 0
+    for part in parts:
+        count = lowpass.centres(part.stop - part.start).size
+        length = (
+            2 * half + (count - 1) * (lowpass.step // every) + 1 if count else 2 * half
+        )
+        index = np.arange(part.start + lowpass.half % every, part.stop, every)[:length]
+        rows.append(index)
+        slices.append(slice(first, first + index.size))
+        first += index.size
+    return np.concatenate(rows), tuple(slices)
+
+
 @lru_cache(maxsize=64)
 def _tap_matrix(taps, step, n_rows):
     """Taps (n_outputs, n_rows) of a block that begins at a multiple of `step`."""

@@ -1,12 +1,12 @@
 """Unexplained residuals, and effects that are not identifiable."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa._core._autocorrelation import correlation_time
 from sklearn_vbjfa._core._linear_systems import or_one, orthonormal_basis
-from sklearn_vbjfa.diagnosis.search._blocks import correlation_time
 from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain
 from sklearn_vbjfa.effects import InModel, OnAllJoints, closure
 from sklearn_vbjfa.equations._equations import make_motion
@@ -206,21 +206,20 @@ def _hidden_effects(search):
 def _is_hidden(effect, search, missing):
     """Whether the declared columns and contained effects span every shape."""
     # missing: effects, by name, that the model of the joint does not contain.
-    fit, simpler, families = search.fit, missing.keys() & set(effect.contains), []
-    for family in search.families[effect.joint]:
-        name = family.effects[0].name
+    fit, simpler, tested = search.fit, missing.keys() & set(effect.contains), []
+    for columns in search.candidates[effect.joint]:
+        name = columns.effects[0].name
         if name == effect.name or name in simpler:
-            if family.columns.load is not None:
-                columns = search.fit.problem.columns(family.columns.effects)
-                family = replace(family, columns=columns)
+            if columns.load is not None:
+                columns = search.fit.problem.columns(columns.effects)
             if name == effect.name:
-                families.append(family)
+                tested.append(columns)
             else:
-                fit = fit.with_member(family.member(0, _FREE_STD))
-    for family in families:
-        groups = fit.groups(family.columns)
-        remaining = np.diagonal(groups.H, axis1=1, axis2=2)[family.at]
-        least = _HIDDEN * groups.own[family.at]
+                fit = fit.with_member(columns.member(0, _FREE_STD))
+    for columns in tested:
+        groups = fit.groups(columns)
+        remaining = np.diagonal(groups.H, axis1=1, axis2=2)
+        least = _HIDDEN * groups.own
         if isinstance(effect, InModel):
             # Hidden if not even its largest plausible value would be reported.
             reach = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)
@@ -228,7 +227,7 @@ def _is_hidden(effect, search, missing):
             remaining, least = 0.5 * remaining[0] * reach**2, needed + _PENALTY
         if (remaining > least).any():
             return False
-    return bool(families)
+    return bool(tested)
 
 
 def _probe(search):

@@ -1,6 +1,5 @@
 """Candidate effects of each joint given a model, with their probabilities."""
 
-import functools
 import itertools
 from dataclasses import dataclass, replace
 
@@ -23,46 +22,8 @@ _GEOMETRY_ODDS = -20.0
 _CHANGED, _CHANGED_MUCH = 0.5, 10.0
 
 
-@dataclass(frozen=True, eq=False)
-class Family:
-    """An effect on a joint, with all of its shapes."""
-
-    columns: Columns  # of several effects of the joint with as many columns
-    at: slice  # shapes of this effect among them
-
-    @functools.cached_property
-    def effects(self):
-        """Effect with each of the shapes, tuple of Effect."""
-        return self.columns.effects[self.at]
-
-    @functools.cached_property
-    def keys(self):
-        """Keys of the effects."""
-        return tuple(effect.key() for effect in self.effects)
-
-    @functools.cached_property
-    def opposite_keys(self):
-        """Keys of their mirror images, empty if they have none."""
-        if self.effects[0].opposite() is None:
-            return ()
-        return tuple(effect.opposite().key() for effect in self.effects)
-
-    @functools.cached_property
-    def simple(self):
-        """Which shapes are preferred to others that are not more probable, (c,)."""
-        return np.array([effect.simple for effect in self.effects])
-
-    def groups(self, fit):
-        """Return second moments given a model, `Groups`."""
-        return fit.groups(self.columns).part(self.at)
-
-    def member(self, c, scale):
-        """Return the effect with one of the shapes as a `SelectedEffect`."""
-        return self.columns.member(self.at.start + c, scale)
-
-
 def _uses(effects):
-    """Split the shapes of an effect into families, see `Shaped.split_by`, lists."""
+    """Split the shapes of an effect by their causes, see `Shaped.split_by`, lists."""
     uses = {}
     for effect in effects:
         kinds = effect.split_by if isinstance(effect, Shaped) else ()
@@ -75,7 +36,7 @@ def _uses(effects):
 class Candidate:
     """A candidate effect given a model."""
 
-    family: Family  # all of its shapes
+    columns: Columns  # of all of its shapes
     best: int  # index of the best shape
     log_odds: float  # posterior log odds that the model lacks it, averaged over shapes
     coef: np.ndarray  # (k,): of the best shape
@@ -87,84 +48,74 @@ class Candidate:
     @property
     def effect(self):
         """Effect with the best shape."""
-        return self.family.effects[self.best]
+        return self.columns.effects[self.best]
 
 
 class Candidates:
     """Candidates on all joints given a fit, cached for unchanged joints."""
 
-    # families: of all effects, by joint; noise: the fit whose residual is the noise
-    # (None: evidence is not discounted, but that of banks is exact); rejected: keys of
-    # rejected effects; no_bank: joints without presliding friction.
+    # columns: of each effect, by joint; rejected: keys of rejected effects; no_bank:
+    # joints without presliding friction; noise: the fit whose residual is the noise
+    # (None: evidence is not discounted, but that of banks is exact).
 
     def __init__(self, problem, library, settings, no_bank=()):
         self.library, self.settings = library, settings
         self.noise, self.rejected = None, set()
-        self.families = {int(j): [] for j in np.flatnonzero(problem.used_joints)}
-        pairs = [
-            (j, effect)
-            for j in self.families
-            for effect in library
-            if not (isinstance(effect, Bank) and j in no_bank)
-        ]
-        kinds = {}
-        for j, effect in pairs:
+        self.columns = {int(j): [] for j in np.flatnonzero(problem.used_joints)}
+        uses = []
+        for j, effect in itertools.product(self.columns, library):
             new = clone(effect).set_params(joint=j)
-            if new.name in problem.view.declared or new.applies(problem.motion):
+            excluded = isinstance(effect, Bank) and j in no_bank
+            if excluded or new.name in problem.view.declared:
                 continue
-            if shapes := problem.shapes(new, first=True):
-                width = max(len(shape.coefficients) for shape in shapes)
-                needs_load = any("load" in shape.needs for shape in shapes)
-                joints = tuple(new.acts_on(problem.view.nv))
-                kind = j, joints, width, isinstance(new, Bank), needs_load
-                kinds.setdefault(kind, []).extend(_uses(shapes))
-        # Stack columns to compute moments at once, apart from load-dependent columns,
-        # which change with the load.
-        for (j, *_), uses in counted(kinds.items(), "candidate", len(kinds)):
-            columns = problem.columns(list(itertools.chain(*uses)))
-            ends = np.cumsum([0, *map(len, uses)]).tolist()
-            slices = itertools.starmap(slice, itertools.pairwise(ends))
-            self.families[j] += [Family(columns, at) for at in slices]
-        self.count = sum(map(len, self.families.values()))
+            if not new.applies(problem.motion):
+                uses += _uses(problem.shapes(new, first=True))
+        for use in counted(uses, "candidate", len(uses)):
+            self.columns[use[0].joint].append(problem.columns(use))
+        self.count = len(uses)
         self.log_prior = np.log(settings.expected / max(self.count, 1))
         # Log odds above which an effect is in the model.
         self.least = float(logit(settings.min_probability))
         self._cache = {}
 
-    def candidate(self, fit, family, excess=None):
-        """Return the best shape of a family given a fit as a `Candidate`, or None."""
+    def candidate(self, fit, columns, excess=None):
+        """Return the best shape of an effect given a fit as a `Candidate`, or None."""
         # Rivals are within `rivals` nats; noise spectra use one candidate per joint.
-        scale, least = self.settings.scale, -np.log(len(self.families))
+        scale, least = self.settings.scale, -np.log(len(self.columns))
         least = min(least, -self.settings.rivals)
-        if isinstance(family.effects[0], InModel):
+        if isinstance(columns.effects[0], InModel):
             least = _GEOMETRY_ODDS
-        threshold = least - self.log_prior
+        threshold, groups = least - self.log_prior, fit.groups(columns)
         if excess is None:
-            evidence = fit.evidence(family.columns, scale)[family.at]
-            if not evidence.max() > threshold:
-                return None
-        groups, excluded = family.groups(fit), self.rejected | fit.excluded
-        if excess is not None:
+            # At any scale the likelihood ratio of the best coefficients is larger; for
+            # banks, whose evidence takes long to compute, it suffices here.
+            evidence = 0.5 * groups.gain()
+            if evidence.max() > threshold and not groups.positive:
+                evidence = groups.evidence(scale)
+        else:
             groups = groups.discounted(excess)
             evidence = groups.evidence(scale)
-        eligible = groups.shown() & [key not in excluded for key in family.keys]
+        if not evidence.max() > threshold:
+            return None
+        excluded = self.rejected | fit.excluded
+        eligible = groups.shown() & [key not in excluded for key in columns.keys]
         eligible &= evidence > threshold
         coefs = groups.coefficients()
         for c in np.flatnonzero(eligible):
-            effect = family.effects[c]
+            effect = columns.effects[c]
             eligible[c] = effect.plausible(coefs[c, : len(effect.coefficients)])
-        if family.opposite_keys:
-            eligible &= _is_directed(family, groups.gain(), eligible)
+        if columns.opposite_keys:
+            eligible &= _is_directed(columns, groups.gain(), eligible)
         if not eligible.any():
             return None
         evidence = np.where(eligible, evidence, -np.inf)
         best, total = int(np.argmax(evidence)), np.logaddexp.reduce(evidence)
-        simple = np.where(family.simple, evidence, -np.inf)
+        simple = np.where(columns.simple, evidence, -np.inf)
         if simple.max() > evidence[best] - self.settings.rivals:
             best = int(np.argmax(simple))
         log_odds = float(total - np.log(eligible.size) + self.log_prior)
         return Candidate(
-            family=family,
+            columns=columns,
             best=best,
             log_odds=log_odds,
             order=log_odds,
@@ -175,7 +126,7 @@ class Candidates:
         """Discount the evidence of a candidate by its overdispersion; may be None."""
         if candidate.discounted:
             return candidate
-        family, coef = candidate.family, candidate.coef
+        columns, coef = candidate.columns, candidate.coef
         if self.noise is None:
             excess = Overdispersion()
         elif isinstance(candidate.effect, Sudden):
@@ -185,19 +136,18 @@ class Candidates:
             coef = fit.groups(near).coefficients()[0]
             excess = fit.overdispersion(near, 0, coef, self.noise)
         else:
-            c = family.at.start + candidate.best
-            excess = fit.overdispersion(family.columns, c, coef, self.noise)
-        usual = self.candidate(fit, candidate.family, excess.as_usual())
+            excess = fit.overdispersion(columns, candidate.best, coef, self.noise)
+        usual = self.candidate(fit, columns, excess.as_usual())
         if usual is None or not np.isfinite(excess.freedom):
             return usual and replace(usual, discounted=True)
-        strict = self.candidate(fit, candidate.family, excess)
+        strict = self.candidate(fit, columns, excess)
         return strict and replace(strict, discounted=True, order=usual.order)
 
     def shapes(self, member):
         """Count the shapes from which a member was selected."""
-        for family in self.families.get(member.effect.joint, ()):
-            if family.effects[0].name == member.effect.name:
-                return len(family.effects)
+        for columns in self.columns.get(member.effect.joint, ()):
+            if columns.effects[0].name == member.effect.name:
+                return len(columns.effects)
         return 1
 
     def on(self, fit, joint):
@@ -205,9 +155,9 @@ class Candidates:
         members = [m.effect for m in fit.members if m.effect.joint == joint]
         contained = set().union(*(closure(effect, self.library) for effect in members))
         candidates = (
-            self.candidate(fit, family)
-            for family in self.families[joint]
-            if family.effects[0].name not in contained
+            self.candidate(fit, columns)
+            for columns in self.columns[joint]
+            if columns.effects[0].name not in contained
         )
         return [candidate for candidate in candidates if candidate is not None]
 
@@ -217,14 +167,14 @@ class Candidates:
 
     def reject(self, candidate):
         """Exclude an effect until the next `reset`."""
-        self.rejected.update(candidate.family.keys)
+        self.rejected.update(candidate.columns.keys)
         self._cache.pop(candidate.effect.joint, None)
 
     def best(self, fit):
         """Return the best discounted candidate of each joint that has one, list."""
         # Joints with little change are updated if no joint has a candidate.
         for changed in (_CHANGED_MUCH, _CHANGED):
-            candidates = [self._best_on(fit, j, changed) for j in self.families]
+            candidates = [self._best_on(fit, j, changed) for j in self.columns]
             candidates = [x for x in candidates if x is not None]
             if candidates:
                 break
@@ -253,16 +203,14 @@ class Candidates:
         if joint not in self._cache:
             self._cache[joint] = white, members, self.on(fit, joint)
         candidates = self._cache[joint][2]
-        while True:
-            probable = [c for c in candidates if c.log_odds > self.least]
-            if not probable:
-                return None
+        while probable := [c for c in candidates if c.log_odds > self.least]:
             best = min(probable, key=lambda c: (self.is_deferred(fit, c), -c.order))
             if best.discounted:
                 return self._simpler(fit, best, candidates)
             candidates.remove(best)
             if (discounted := self.discounted(fit, best)) is not None:
                 candidates.append(discounted)
+        return None
 
     def _simpler(self, fit, best, candidates):
         """Return an effect that a candidate contains, if that is probable alone."""
@@ -294,7 +242,7 @@ class Candidates:
         member, base = fit.members[i], fit.without(i)
         # Bodies of other sizes may make up for a correction of another joint.
         everywhere = isinstance(member.effect, InModel)
-        joints = [j for j in self.families if everywhere or j in member.joints]
+        joints = [j for j in self.columns if everywhere or j in member.joints]
         candidates = [c for j in joints for c in self.on(base, j)]
         own = [c for c in candidates if c.effect.joint in member.joints]
         rivals = self.best_discounted(base, own, self.settings.rivals)
@@ -309,7 +257,7 @@ class Candidates:
         """Return geometric effects that explain as much as a member."""
         geometric = (c for c in candidates if isinstance(c.effect, InModel))
         gains = {
-            c: 0.5 * c.family.groups(base).gain()[c.best]
+            c: 0.5 * base.groups(c.columns).gain()[c.best]
             for c in (self.discounted(base, x) for x in geometric)
             if c is not None
         }
@@ -329,13 +277,13 @@ class Candidates:
         return np.array(log_odds) + self.log_prior
 
 
-def _is_directed(family, gain, eligible):
+def _is_directed(columns, gain, eligible):
     """Check which shapes explain much more than their mirror images, (c,)."""
     best = {}
-    for key, x, allowed in zip(family.keys, gain, eligible):
+    for key, x, allowed in zip(columns.keys, gain, eligible):
         if allowed:
             best[key] = max(best.get(key, 0.0), x)
-    pairs = zip(family.keys, family.opposite_keys)
+    pairs = zip(columns.keys, columns.opposite_keys)
     return np.array(
         [best.get(other, 0.0) <= _MIRROR * best.get(key, 0.0) for key, other in pairs]
     )

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, special
 
-from sklearn_vbjfa.diagnosis.search._blocks import interpolation
-
 # Frequency bands per octave, and the minimum number of cosines in a band.
 _PER_OCTAVE, _FEWEST = 2, 2
 # Spectral density below this share of the largest is rounding.
@@ -35,7 +33,7 @@ class Cosines:
         appended = np.diff(row, prepend=-1) == 0
         used = (view.root[row] > 0) & ~appended[:, None]
         self.fill, self._rows = used.mean(axis=0), np.flatnonzero(~appended)
-        between = [interpolation(x, starts[:-1]) for x in used.T]
+        between = [_interpolation(x, starts[:-1]) for x in used.T]
         self._interpolations = [(row[a], row[b], share) for a, b, share in between]
         frequency = [np.arange(n) / (2.0 * n * view.step) for n in lengths]
         frequency = np.concatenate(frequency)
@@ -66,6 +64,20 @@ class Cosines:
         for a, b in self._parts:
             whole[:, a:b] = fft.idct(whole[:, a:b], axis=1, norm="ortho")
         return whole[:, self._rows]
+
+
+def _interpolation(used, starts):
+    """Return the used rows (m,) around each row, and its position between them."""
+    low, high, share = np.arange(used.size), np.arange(used.size), np.zeros(used.size)
+    for a, b in itertools.pairwise([*starts, used.size]):
+        rows = a + np.flatnonzero(used[a:b])
+        # Without used rows a part remains as it is.
+        if 0 < rows.size < b - a:
+            position = np.interp(np.arange(a, b), rows, np.arange(rows.size))
+            low[a:b] = rows[np.floor(position).astype(int)]
+            high[a:b] = rows[np.ceil(position).astype(int)]
+            share[a:b] = position % 1.0
+    return low, high, share
 
 
 def _bands(frequency, lowest):
@@ -101,7 +113,8 @@ class Spectrum:
         # the fit), under a Gaussian prior on second differences with standard deviation
         # `smoothness`. Bands with few cosines follow their neighbours.
         variance, log_prior = np.full(power.shape, np.inf), 0.0
-        D = _second_differences(octave) / smoothness
+        slopes = np.diff(np.eye(octave.size), axis=0) / np.diff(octave)[:, None]
+        D = np.diff(slopes, axis=0) / (_PER_OCTAVE * smoothness)
         for j in np.flatnonzero(power.any(axis=1)):
             y = np.maximum(power[j], _ROUNDING * power[j].max())
             valid = freedom[j] > 0.5
@@ -132,13 +145,3 @@ class Spectrum:
         """Return the noise variance (nv, n_bands), 1 over the weights, or zero."""
         weights = self.weights(cosines)
         return np.divide(1.0, weights, out=np.zeros(weights.shape), where=weights > 0)
-
-
-def _second_differences(octave):
-    """Return the operator of second differences on an uneven grid, (n - 2, n)."""
-    n = octave.size
-    out = np.zeros((max(n - 2, 0), n))
-    for i in range(n - 2):
-        left, right = np.diff(octave[i : i + 3])
-        out[i, i : i + 3] = 1 / left, -1 / left - 1 / right, 1 / right
-    return out / _PER_OCTAVE

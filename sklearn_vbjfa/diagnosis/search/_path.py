@@ -96,16 +96,16 @@ class Path:
         for _ in range(self.settings.most):
             # Unmodelled torque that repeats would resemble many effects.
             added, candidates.noise = [], fit if self.view.repetition else None
-            for joint, families in candidates.families.items():
+            for joint, columns in candidates.columns.items():
                 say(f"round {self.round + 1}, joint {joint + 1} of {self.view.nv}")
                 # Prior of `expected` effects on each joint.
-                least = np.log(max(len(families), 1) / self.settings.expected)
+                least = np.log(max(len(columns), 1) / self.settings.expected)
                 least += candidates.log_prior
                 probable = [c for c in candidates.on(fit, joint) if c.log_odds > least]
                 best = candidates.best_discounted(fit, probable)[:1]
                 if best and best[0].log_odds > least:
                     best = best[0]
-                    member = best.family.member(best.best, self.settings.scale)
+                    member = best.columns.member(best.best, self.settings.scale)
                     is_jump = isinstance(best.effect, Sudden)
                     added.append(self._member(fit, best) if is_jump else member)
             if not added:
@@ -234,7 +234,7 @@ class Path:
         scale = self.settings.scale
         effect = best_shape(fit, candidate.effect, scale)
         if effect is candidate.effect:
-            member = candidate.family.member(candidate.best, scale)
+            member = candidate.columns.member(candidate.best, scale)
         else:
             member = fit.problem.columns([effect]).member()
         best = fit.groups(member.columns).best_scale(scale)[0]
@@ -278,10 +278,10 @@ class Path:
         if len(kept) == len(fit.members):
             return fit
         base = Fit(fit.base, [m for m in kept if m is not member])
-        for family in self.candidates.families[joint]:
-            if family.effects[0].name != member.effect.name:
+        for columns in self.candidates.columns[joint]:
+            if columns.effects[0].name != member.effect.name:
                 continue
-            candidate = self.candidates.candidate(base, family)
+            candidate = self.candidates.candidate(base, columns)
             if candidate is None:
                 continue
             alone = base.with_member(self._member(base, candidate))
@@ -323,7 +323,10 @@ class Path:
 
     def scaled(self, fit):
         """Set the most probable prior scale of each member."""
-        fit = fit.rescaled(self.settings.scale)
+        scale = self.settings.scale
+        scales = (float(groups.best_scale(scale)[0]) for groups in fit.member_groups)
+        members = [replace(m, scale=x) for m, x in zip(fit.members, scales)]
+        fit = Fit(fit.base, members)
         # Elements of banks have positive coefficients.
         for i, member in enumerate(fit.members):
             used = fit.coefficients(i) > 0

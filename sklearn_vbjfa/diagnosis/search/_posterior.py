@@ -1,6 +1,6 @@
 """Reported effects: settings, posterior odds, and the rules of reporting."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from numbers import Integral, Real
 
 import numpy as np
@@ -126,7 +126,7 @@ class SearchResult:
     settings: SearchSettings
     library: tuple  # effects that were tried on every joint
     fit: Fit | None = None  # None after a search branch by branch
-    families: dict | None = None  # candidate effects by joint
+    candidates: dict | None = None  # `Columns` of candidate effects, lists by joint
     branches: tuple = ()  # pairs of branch and result of a search branch by branch
 
     @property
@@ -183,7 +183,7 @@ def search(view, library, settings, alpha, max_effects=None):
         # Folds interleaved in time, as the held-out part is.
         residual=HeldOut(problem.view, problem.view.blocks.fold).validate(fit).residual,
         fit=fit,
-        families=path.candidates.families,
+        candidates=path.candidates.columns,
         n_candidates=path.candidates.count,
         needed=needed,
         settings=settings,
@@ -200,9 +200,9 @@ def _can_replace(path, candidate, fit, i, log_odds):
     threshold = log_odds - (0.0 if equal else path.settings.rivals)
     if geometry == [False, True] and candidate.order > threshold:
         # Geometric columns are derivatives of a torque that includes the member's.
-        reduced, family = relinearise(fit.without(i)), candidate.family
-        columns = reduced.problem.columns(family.columns.effects)
-        candidate = path.candidates.candidate(reduced, replace(family, columns=columns))
+        reduced = relinearise(fit.without(i))
+        columns = reduced.problem.columns(candidate.columns.effects)
+        candidate = path.candidates.candidate(reduced, columns)
         candidate = candidate and path.candidates.discounted(reduced, candidate)
     return all(geometry) or bool(candidate and candidate.order > threshold)
 

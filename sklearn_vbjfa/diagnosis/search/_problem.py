@@ -4,7 +4,7 @@ import copy
 import functools
 import itertools
 from collections import namedtuple
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -63,6 +63,23 @@ class Columns:
             products = np.array(products)
             self._products[target.ndim] = target, products
         return products
+
+    @functools.cached_property
+    def keys(self):
+        """Keys of the effects."""
+        return tuple(effect.key() for effect in self.effects)
+
+    @functools.cached_property
+    def opposite_keys(self):
+        """Keys of their mirror images, empty if they have none."""
+        if self.effects[0].opposite() is None:
+            return ()
+        return tuple(effect.opposite().key() for effect in self.effects)
+
+    @functools.cached_property
+    def simple(self):
+        """Which shapes are preferred to others that are not more probable, (c,)."""
+        return np.array([effect.simple for effect in self.effects])
 
     def member(self, c=0, scale=1.0):
         """Return one of the shapes as a `SelectedEffect`."""
@@ -329,7 +346,7 @@ class Fit:
         self._t = _solve(self._factor, rhs)
         self._coef = _solve(self._factor, self._t, transposed=True)
         self.theta = _solve(base.L, base.t - self._B @ self._coef, transposed=True)
-        self._groups, self._evidence = WeakKeyDictionary(), WeakKeyDictionary()
+        self._groups = WeakKeyDictionary()
 
     def _moments(self):
         """Compute B, H and q of the members' columns."""
@@ -415,12 +432,6 @@ class Fit:
             )
             self._groups[columns] = groups, D
         return self._groups[columns][0]
-
-    def evidence(self, columns, scale):
-        """Return the log evidence (c,) of shapes, for banks an upper bound."""
-        if columns not in self._evidence:
-            self._evidence[columns] = self.groups(columns).most_evidence(scale)
-        return self._evidence[columns]
 
     @functools.cached_property
     def scores(self):
@@ -549,12 +560,6 @@ class Fit:
             )
             result.append(groups)
         return result
-
-    def rescaled(self, scale):
-        """Set the most probable prior scale of each member."""
-        scales = [float(x.best_scale(scale)[0]) for x in self.member_groups]
-        members = [replace(m, scale=x) for m, x in zip(self.members, scales)]
-        return Fit(self.base, members)
 
     def log_evidence(self):
         """Compute the log evidence, up to a constant of the recording."""

@@ -1,5 +1,6 @@
 """Continuous refinement of shape parameters between the points of their grid."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,8 +30,8 @@ _PERIOD = 2 * np.pi
 
 
 def _bracket(effect, name, motion):
-    """Return the value, bounds, grid limits and log flag of a shape parameter."""
-    # None without neighbouring grid points.
+    """Return a shape parameter, its neighbours on the grid, and the grid's ends."""
+    # None without neighbours. Positive parameters as logarithms, except angles.
     value, continuous = getattr(effect, name), {*effect.continuous}
     grid = np.unique(
         [
@@ -39,18 +40,23 @@ def _bracket(effect, name, motion):
             if all(shape[k] == getattr(effect, k) for k in shape.keys() - continuous)
         ]
     )
-    if name in effect.cyclic and grid.size > 1:
+    if name in effect.cyclic:
         grid = np.concatenate([grid - _PERIOD, grid, grid + _PERIOD])
-        nearest = int(np.argmin(np.abs(grid - value)))
-        return value, grid[nearest - 1], grid[nearest + 1], -np.inf, np.inf, False
-    grid = grid[np.sign(grid) == np.sign(value)]
-    if value == 0 or grid.size < 2:
-        return None
-    nearest, positive = int(np.argmin(np.abs(grid - value))), bool(value > 0)
-    if positive:
-        value, grid = np.log(value), np.log(grid)
-    low, high = grid[max(nearest - 1, 0)], grid[min(nearest + 1, grid.size - 1)]
-    return value, low, high, grid[0], grid[-1], positive
+        ends = -np.inf, np.inf
+    else:
+        grid = grid[np.sign(grid) == np.sign(value)]
+        if grid.size < 2:
+            return None
+        if value > 0:
+            value, grid = np.log(value), np.log(grid)
+        ends = grid[0], grid[-1]
+    nearest = int(np.argmin(np.abs(grid - value)))
+    return (
+        value,
+        grid[max(nearest - 1, 0)],
+        grid[min(nearest + 1, grid.size - 1)],
+        *ends,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,14 +65,12 @@ class ShapePoint:
 
     effect: Effect
     names: tuple  # names of the d continuous shape parameters
-    # (d,) each: their values, neighbouring grid points and grid limits (infinite for an
-    # angle), as logarithms if `logarithmic`
+    # (d,) each, see `_bracket`
     values: np.ndarray
     low: np.ndarray
     high: np.ndarray
     lowest: np.ndarray
     highest: np.ndarray
-    logarithmic: np.ndarray  # (d,), bool
 
     @classmethod
     def of(cls, effect, motion):
@@ -76,9 +80,9 @@ class ShapePoint:
         brackets = {name: b for name, b in brackets.items() if b is not None}
         if not brackets:
             return None
-        kinds = ("values", "low", "high", "lowest", "highest", "logarithmic")
-        arrays = dict(zip(kinds, map(np.array, zip(*brackets.values()))))
-        return cls(effect=effect, names=tuple(brackets), **arrays)
+        arrays = map(np.array, zip(*brackets.values()))
+        fields = dict(zip(("values", "low", "high", "lowest", "highest"), arrays))
+        return cls(effect=effect, names=tuple(brackets), **fields)
 
     @property
     def width(self):
@@ -95,9 +99,11 @@ class ShapePoint:
     def at(self, values):
         """Return the effect with other values."""
         shape = {}
-        for name, u, is_log in zip(self.names, values.tolist(), self.logarithmic):
-            value = float(np.exp(u)) if is_log else u
-            shape[name] = value % _PERIOD if name in self.effect.cyclic else value
+        for name, u in zip(self.names, values.tolist()):
+            if name in self.effect.cyclic:
+                shape[name] = u % _PERIOD
+            else:
+                shape[name] = math.exp(u) if getattr(self.effect, name) > 0 else u
         return clone(self.effect).set_params(**shape)
 
     def around(self):
@@ -291,54 +297,45 @@ def _instants(fit, effect, columns, scale, apart=np.inf):
 
 def refine_instant(estimate, evidence, motion, name="instant"):
     """Refine the instant of a jump, or its end."""
+
+    def moved(instants):
+        return [clone(estimate).set_params(**{name: s}) for s in instants.tolist()]
+
     best_value = float(evidence([estimate])[0])
     grid = np.unique([shape["instant"] for shape in estimate.shapes(motion)])
-    gaps, value = _gaps(motion), getattr(estimate, name)
+    instants, prior = _row_instants(motion)
     if grid.size > 1:
         step = _AROUND * np.diff(grid).max()
-        low, high = value - step, value + step
+        low, high = getattr(estimate, name) - step, getattr(estimate, name) + step
         for _ in range(3):
             trials = np.linspace(low, high, _INSTANTS)
-            instants = _representative_instants(motion, gaps, trials)
-            tried = [clone(estimate).set_params(**{name: float(s)}) for s in instants]
+            tried = moved(instants[np.searchsorted(motion.t[:-1], trials)])
             values = evidence(tried)
             best = int(np.argmax(values))
             low, high = trials[max(best - 1, 0)], trials[min(best + 1, _INSTANTS - 1)]
         if values[best] > best_value:
             estimate, best_value = tried[best], float(values[best])
     # Prefer an adjacent gap unless the evidence exceeds its prior advantage [nats].
-    index = np.searchsorted([s for _, s, _ in gaps], getattr(estimate, name))
+    gaps = np.flatnonzero(prior)
+    index = np.searchsorted(instants[gaps], getattr(estimate, name))
     adjacent = gaps[max(index - 1, 0) : index + 1]
-    others = [clone(estimate).set_params(**{name: float(s)}) for _, s, _ in adjacent]
-    if others:
-        for other, (_, _, width), x in zip(others, adjacent, evidence(others)):
-            if best_value - x < np.log(width):
+    if others := moved(instants[adjacent]):
+        for other, advantage, x in zip(others, prior[adjacent], evidence(others)):
+            if best_value - x < advantage:
                 return other
     return estimate
 
 
-def _representative_instants(motion, gaps, trials):
-    """Map instants to equivalent ones (c,): times of rows, or instants of gaps."""
-    times = np.asarray(motion.t, dtype=float)
-    instants = times.copy()
-    for row, value, _ in gaps:
-        instants[row] = value
-    return instants[np.searchsorted(times[:-1], trials)]
-
-
-def _gaps(motion):
-    """List gaps between rows: (next row, instant, length in rows)."""
-    # The instant is the middle of the gap, or the start of a recording.
-    times = np.asarray(motion.t, dtype=float)
-    step = np.diff(times)
-    typical = np.median(step) if step.size else 1.0
-    gaps = {
-        int(row): (0.5 * (times[row - 1] + times[row]), step[row - 1] / typical)
-        for row in np.flatnonzero(step > _GAP * typical) + 1
-    }
-    # A start is as probable a priori as all instants of a recording together. Skip
-    # recordings after the last row.
-    later = motion.later[motion.later <= times[-1]]
-    rows = np.searchsorted(times, later)
-    gaps |= {int(r): (float(s), times.size) for r, s in zip(rows, later)}
-    return [(row, *gaps[row]) for row in sorted(gaps)]
+def _row_instants(motion):
+    """Return an instant before each row, and its prior advantage [nats], (n,) each."""
+    # A gap counts as its middle, as probable as all missing rows together, the start of
+    # a recording as probable as all rows. Skip recordings after the last row.
+    instants, prior = motion.t.astype(float), np.zeros(motion.t.size)
+    step = np.diff(motion.t) / np.median(np.diff(motion.t))
+    after = np.flatnonzero(step > _GAP) + 1
+    instants[after] = 0.5 * (motion.t[after - 1] + motion.t[after])
+    prior[after] = np.log(step[after - 1])
+    starts = motion.later[motion.later <= motion.t[-1]]
+    after = np.searchsorted(motion.t, starts)
+    instants[after], prior[after] = starts, np.log(motion.t.size)
+    return instants, prior

@@ -7,13 +7,10 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from sklearn_vbjfa._core._autocorrelation import correlation_time
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
-from sklearn_vbjfa._core._lowpass import coarser, stride
-from sklearn_vbjfa.diagnosis.search._blocks import (
-    correlation_time,
-    make_blocks,
-    phase_blocks,
-)
+from sklearn_vbjfa._core._lowpass import coarser, coarser_rows, stride
+from sklearn_vbjfa.diagnosis.search._blocks import make_blocks, phase_blocks
 from sklearn_vbjfa.effects import InModel, OnAllJoints, declared, earlier_reversals
 from sklearn_vbjfa.equations._equations import make_motion, pick_load_free
 from sklearn_vbjfa.recording import check_clock
@@ -22,25 +19,6 @@ from sklearn_vbjfa.recording import check_clock
 _MAX_SAMPLES = 20_000
 # Length of a stretch over that of the low-pass, which shortens both ends.
 _LENGTHS = 30
-
-
-def coarser_rows(parts, lowpass, every):
-    """Thin the rows of parts by an integer factor; return rows and thinned parts."""
-    # The outputs of the coarser low-pass lie on the samples of those of the original.
-    if every == 1:
-        return slice(None), tuple(parts)
-    half = lowpass.half // every
-    rows, slices, first = [], [], 0
-    for part in parts:
-        count = lowpass.centres(part.stop - part.start).size
-        length = (
-            2 * half + (count - 1) * (lowpass.step // every) + 1 if count else 2 * half
-        )
-        index = np.arange(part.start + lowpass.half % every, part.stop, every)[:length]
-        rows.append(index)
-        slices.append(slice(first, first + index.size))
-        first += index.size
-    return np.concatenate(rows), tuple(slices)
 
 
 def stretches(parts, moving, lowpass):

@@ -50,8 +50,8 @@ def test_coarser_filters_have_the_same_output(every):
     parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     t = 0.001 * np.arange(edges[-1])
     slow = np.sin(2 * np.pi * 1.3 * t) + 0.3 * np.cos(2 * np.pi * 2.9 * t)
-    rows, pieces = _thinned.coarser_rows(parts, LOWPASS, every)
-    coarser = _thinned.coarser(LOWPASS, every)
+    rows, pieces = _lowpass.coarser_rows(parts, LOWPASS, every)
+    coarser = _lowpass.coarser(LOWPASS, every)
     for part, cut in zip(parts, pieces):
         n = part.stop - part.start
         expected = part.start + LOWPASS.centres(n)
@@ -66,7 +66,7 @@ def test_number_of_used_samples_is_bounded():
     counts = []
     for n in (10**6, 4 * 10**6):
         rows, label = _thinned.stretches([slice(0, n)], moving(n), LOWPASS)
-        most = _thinned._MAX_SAMPLES * _thinned.stride(LOWPASS)
+        most = _thinned._MAX_SAMPLES * _lowpass.stride(LOWPASS)
         assert 0.9 * most < rows.size <= most
         counts.append(label.max())
         # Each is much longer than the filter.

@@ -149,7 +149,7 @@ def base_orientation(reading):
     heavy = 1 / number.AS_HEAVY < np.linalg.norm(full) / size < number.AS_HEAVY
     loaded = _loaded(robot, robot.unit_weights @ pull)
     odds = chosen.evidence - robot.baseline.evidence - np.log(variants)
-    springs = robot.springs > odds - number.DECISIVE
+    springs = robot.springs > odds - number.FAR_ODDS
     # Offsets must not hide it; components that are not shown may have either sign.
     largest = np.abs(robot.unit_weights @ pull).max(axis=0)[loaded]
 

@@ -110,8 +110,8 @@ def fft_length(longest, dt):
 def acceleration_power(x, dt, n_fft):
     """Power of the second differences of one recording, to be summed over several."""
     # x (n, k). Returns squared amplitudes (n_fft // 2 + 1, k), zero for a recording
-    # that is too short, `_staircase` (k,), and the energy of the taper, by which to
-    # divide both.
+    # that is too short, `_staircase` and `_quiet_noise` (2, k), and the energy of the
+    # taper, by which to divide both.
     n, window = x.shape[0], _window(dt)
     if n < MIN_SPECTRUM:
         return np.zeros((n_fft // 2 + 1, x.shape[1])), 0.0, 0.0
@@ -127,8 +127,9 @@ def acceleration_power(x, dt, n_fft):
     taper = np.hanning(d.shape[1] + 2)[1:-1]
     power = np.abs(np.fft.rfft(d * taper, n_fft)) ** 2
     weight = np.pad(taper**2, 1)
-    held = np.array([_staircase(column, weight) for column in x.T])
-    return power.T, held, float(weight.sum())
+    held = [_staircase(column, weight) for column in x.T]
+    energy = float(weight.sum())
+    return power.T, np.array([held, energy * _quiet_noise(x)]), energy
 
 
 def _staircase(x, weight):
@@ -141,10 +142,29 @@ def _staircase(x, weight):
     return square * (1 - 1 / run**2) @ np.diff(np.cumsum(weight)[change])
 
 
+# Rows of a block, the share of the blocks that are quiet, and that quantile of the
+# blocks' variances for white noise of variance 1.
+_QUIET_ROWS, _QUIET_SHARE, _QUIET_OF_WHITE = 32, 0.1, 0.567
+
+
+def _quiet_noise(x):
+    """Variance (k,) of the noise of samples (n, k) in the quietest blocks that vary."""
+    # By third differences. The vibration of a moving joint is not its noise at rest.
+    d = np.diff(x, 3, axis=0) ** 2 / 20
+    rows = min(_QUIET_ROWS, len(d))
+    blocks = d[: len(d) // rows * rows].reshape(-1, rows, x.shape[1]).mean(axis=1)
+    still = np.sum(blocks == 0, axis=0)
+    pick = still + (_QUIET_SHARE * (len(blocks) - still)).astype(int)
+    quiet = np.sort(blocks, axis=0)[
+        np.minimum(pick, len(blocks) - 1), np.arange(len(pick))
+    ]
+    return quiet / _QUIET_OF_WHITE
+
+
 def acceleration_spectra(segments, dt):
     """Frequencies (m,) [Hz] and power (m, k) of all segments' second differences."""
     # The third result (m,) is the power that white noise of variance 1 would have
-    # there, the fourth (k,) the error of staircases.
+    # there, the fourth (2, k) the errors of staircases and of quiet blocks.
     longest = max((x.shape[0] for x in segments), default=0)
     if longest < MIN_SPECTRUM:
         raise ValueError(
@@ -204,7 +224,7 @@ def choose_cutoff(frequency, power, noise_gain, held, dt):
     share = signal / noise_gain[:, None]
     share[-1] /= 2  # of the Nyquist frequency, the only one without a negative one
     beyond = np.cumsum(share[::-1], axis=0)[::-1]
-    signal[beyond < (1.01 * held - variance) * frequency.size] = 0.0
+    signal[beyond < (1.01 * held[0] - variance) * frequency.size] = 0.0
     candidates = np.geomspace(max(frequency[0], 1e-3 / dt), 1.0 / (3 * dt), 120)
     risks = np.empty((candidates.size, power.shape[1]))
     for i, cutoff in enumerate(candidates):

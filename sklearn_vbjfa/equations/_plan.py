@@ -193,7 +193,7 @@ class Plan:
         # Errors of coarse positions are larger, but no noise at rest.
         rate = 2 * np.pi * np.minimum(estimator.cutoff_, 0.5 / estimator.dt)
         most = np.maximum(self.standstill, 0.0) / rate
-        play = np.minimum(_PLAY * estimator.noise(0), most)
+        play = np.minimum(_PLAY * estimator.noise(0, at_rest=True), most)
         return np.array([play, play * (False if self.stops is None else self.stops)])
 
     @property

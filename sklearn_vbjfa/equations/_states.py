@@ -46,6 +46,9 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         Variance of the white noise in the positions [rad^2 or m^2], measured from the
         upper half of the spectrum of the second differences; nan if the recording is
         too short.
+    rest_variance_ : ndarray of shape (nv,)
+        The same in the quietest tenth of the recording, where vibration of a moving
+        joint is not counted as noise.
     bandwidth_ : ndarray of shape (nv,)
         Frequency [Hz] below which 99 % of the power of the velocity lies; 0 for a
         joint that does not move.
@@ -119,7 +122,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         # moving (nv,): joints that move; spectra: `acceleration_spectra` of all joints,
         # None if all recordings are too short.
         dt, nv = check_dt(self.dt), self.n_features_in_
-        self.noise_variance_ = np.full(nv, np.nan)
+        self.noise_variance_ = self.rest_variance_ = np.full(nv, np.nan)
         self.bandwidth_ = np.zeros(nv)
         auto = isinstance(self.cutoff, str)
         if auto and self.cutoff != "auto":
@@ -151,13 +154,14 @@ class StateEstimator(TransformerMixin, BaseEstimator):
     def _analyse(self, moving, spectra, dt):
         frequency, power, noise_gain, held = spectra
         nv = moving.size
-        self.noise_variance_, self.bandwidth_ = np.zeros((2, nv))
+        self.noise_variance_, self.rest_variance_, self.bandwidth_ = np.zeros((3, nv))
         cutoff = np.full(nv, np.inf)
         if not moving.any():
             return cutoff
         cutoff[moving], self.noise_variance_[moving] = _smoothing.choose_cutoff(
-            frequency, power[:, moving], noise_gain, held[moving], dt
+            frequency, power[:, moving], noise_gain, held[:, moving], dt
         )
+        self.rest_variance_ = np.minimum(self.noise_variance_, held[1])
         for j in np.flatnonzero(moving):
             self.bandwidth_[j] = _smoothing.velocity_bandwidth(
                 frequency, power[:, j], noise_gain, self.noise_variance_[j], cutoff[j]
@@ -186,12 +190,13 @@ class StateEstimator(TransformerMixin, BaseEstimator):
             states[part] = self.smooth(X[part], part.start)[:]
         return states
 
-    def noise(self, order):
+    def noise(self, order, at_rest=False):
         """Estimate the std (nv,) of the noise of a derivative; zero if unknown."""
         # White encoder noise through the smoother.
         frequency = np.linspace(0.0, 0.5 / self.dt, _NOISE_GRID)
         noise = np.zeros(self.n_features_in_)
-        for j, (cutoff, variance) in enumerate(zip(self.cutoff_, self.noise_variance_)):
+        variances = self.rest_variance_ if at_rest else self.noise_variance_
+        for j, (cutoff, variance) in enumerate(zip(self.cutoff_, variances)):
             if variance > 0:
                 gain = 1.0
                 if np.isfinite(cutoff):
@@ -375,6 +380,7 @@ def select_joints(estimator, joints):
     selected = _with_cutoffs(estimator, estimator.cutoff_[joints])
     selected.n_features_in_ = selected.cutoff_.size
     selected.noise_variance_ = estimator.noise_variance_[joints]
+    selected.rest_variance_ = estimator.rest_variance_[joints]
     return selected
 
 

@@ -31,7 +31,7 @@ FORMAT = "sklearn_vbjfa identified robot"
 VERSION = 1
 # Fields that follow from others, and saved attributes of a fitted `StateEstimator`.
 _NOT_SAVED = frozenset({"features_", "source", "waves", "_stepper"})
-_OF_STATES = ("cutoff_", "noise_variance_", "bandwidth_")
+_OF_STATES = ("cutoff_", "noise_variance_", "rest_variance_", "bandwidth_")
 # Numbers that JSON does not have.
 _SPELLED = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 # A list of numbers and words like "nan".

@@ -74,6 +74,11 @@ def test_noise_variance():
     estimator = StateEstimator(DT).fit(q)
     # A median of 8000 tapered ordinates: its relative deviation is about 2.5 %.
     np.testing.assert_allclose(estimator.noise_variance_, noise**2, rtol=0.12)
+    np.testing.assert_allclose(estimator.rest_variance_, noise**2, rtol=0.12)
+    # The second half vibrates: the tenth is a fifth of the quiet blocks.
+    q[10_000:] += 1e-3 * np.random.default_rng(1).normal(size=(10_000, 3))
+    quiet = StateEstimator(DT).fit(q).rest_variance_
+    np.testing.assert_allclose(quiet[0], noise[0] ** 2, rtol=0.3)
 
 
 def test_bandwidth_is_that_of_the_motion():

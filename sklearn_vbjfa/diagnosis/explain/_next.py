@@ -46,9 +46,9 @@ class ExpectedError:
         self._error, self._motion = error, motion
         self._scatter = np.nan_to_num(scatter)
         self.recordings = r = len(left_out)
-        squares = np.where(left_out > 0, left_out, np.nan) ** 2
-        out, some = np.full(error.size, np.nan), np.isfinite(squares).any(axis=0)
-        out[some] = np.nanmean(squares[:, some], axis=0)
+        valid = left_out > 0
+        out = np.sum(left_out**2, axis=0, where=valid)
+        out /= np.where(valid.any(axis=0), valid.sum(axis=0), np.nan)
         self._noise = np.where(np.isnan(floor), 0.0, np.fmin(floor, error) ** 2)
         # Model error is also present within a single recording.
         self._model_error = np.maximum(np.fmin(single, error) ** 2 - self._noise, 0.0)
@@ -136,27 +136,22 @@ class MotionStatistics:
     # (nv,): standard deviation of the torque of the fit
 
     def __init__(self, v, a, load, friction, weight, spread):
-        total = np.maximum(weight.sum(axis=0), 1e-300)
-
-        def rms(values):
-            return np.sqrt((weight * values**2).sum(axis=0) / total) / spread
-
-        ones = np.ones(weight.shape)
-        parts = friction, friction + load, spread * ones, load
+        total, ones = np.maximum(weight.sum(axis=0), 1e-300), np.ones(weight.shape)
+        parts = np.array([friction, friction + load, spread * ones, load])
         with np.errstate(divide="ignore", invalid="ignore"):
-            self.sizes = np.nan_to_num([rms(values) for values in parts])
+            rms = np.sqrt((weight * parts**2).sum(axis=1) / total)
+            self.sizes = np.nan_to_num(rms / spread)
         rows = np.stack([ones, v, v * np.abs(v), a, load], axis=-1)
         self._moments = np.einsum("nj,njk,njl->jkl", weight / total, rows, rows)
 
     def distance(self, other):
         """Return the relative leverage (nv,) of the rows of a motion, at least 1."""
-        leverage = np.ones(len(self._moments))
-        for j, (G, rows) in enumerate(zip(self._moments, other._moments)):
-            if (size := np.trace(G)) > 0:
-                rank = np.linalg.matrix_rank(G, tol=1e-9 * size, hermitian=True)
-                inverse = np.linalg.pinv(G, rcond=1e-9, hermitian=True)
-                leverage[j] = np.trace(inverse @ rows) / rank
-        return np.maximum(leverage, 1.0)
+        inverse = np.linalg.pinv(self._moments, rcond=1e-9, hermitian=True)
+        leverage = np.einsum("jkl,jlk->j", inverse, other._moments)
+        tolerance = 1e-9 * np.einsum("jkk->j", self._moments)
+        rank = np.linalg.matrix_rank(self._moments, tol=tolerance, hermitian=True)
+        # The rank is zero for joints at rest.
+        return np.maximum(leverage / np.maximum(rank, 1), 1.0)
 
 
 def motion_statistics(identifier, states, predicted, weight, spread):

@@ -210,8 +210,8 @@ def contradictions(parts, spread, alpha):
         r, j = max(tested, key=lambda key: tested[key][0])
         if not tested[r, j][1] < alpha:
             break
-        for recordings in (remaining, suspects):
-            recordings.remove(r)
+        remaining.remove(r)
+        suspects.remove(r)
         removed.append(r)
     deviations = (_Deviations(parts, r, [*remaining, r]) for r in sorted(removed))
     return tuple(x for d in deviations for x in d.significant(joints, alpha, errors))
@@ -282,7 +282,7 @@ class _Deviations:
     def test(self, j, joints=()):
         """Return F statistic, p-value and variance unit of the deviation on a joint."""
         # joints: others that may deviate as well.
-        added = {k: self._columns[k] for k in {j: 0} | dict.fromkeys(joints)}
+        added = {k: self._columns[k] for k in (j, *(k for k in joints if k != j))}
         gain, theta, coef = self._fitted(added)
         size, freedom = self._within(j, coef[:_COLUMNS], theta)
         del added[j]

@@ -10,8 +10,7 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._groups import Overdispersion
 from sklearn_vbjfa._core._runtime import counted
 from sklearn_vbjfa.diagnosis.search._problem import Columns
-from sklearn_vbjfa.diagnosis.search._refine import jump
-from sklearn_vbjfa.effects import Bank, InModel, Shaped, Sudden, closure
+from sklearn_vbjfa.effects import Bank, InModel, Shaped, closure
 
 # Reject a directed effect if its mirror image has more than this share of its gain.
 _MIRROR = 0.5
@@ -126,17 +125,10 @@ class Candidates:
         """Discount the evidence of a candidate by its overdispersion; may be None."""
         if candidate.discounted:
             return candidate
-        columns, coef = candidate.columns, candidate.coef
-        if self.noise is None:
-            excess = Overdispersion()
-        elif isinstance(candidate.effect, Sudden):
-            # A slightly wrong instant leaves a residual as large as the jump.
-            scale = self.settings.scale
-            near = fit.problem.columns([jump(fit, candidate.effect, scale, near=True)])
-            coef = fit.groups(near).coefficients()[0]
-            excess = fit.overdispersion(near, 0, coef, self.noise)
-        else:
-            excess = fit.overdispersion(columns, candidate.best, coef, self.noise)
+        columns, excess = candidate.columns, Overdispersion()
+        if self.noise is not None:
+            shape = candidate.best, candidate.coef
+            excess = fit.overdispersion(columns, *shape, self.noise)
         usual = self.candidate(fit, columns, excess.as_usual())
         if usual is None or not np.isfinite(excess.freedom):
             return usual and replace(usual, discounted=True)

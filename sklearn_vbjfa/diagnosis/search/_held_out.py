@@ -83,17 +83,12 @@ class HeldOut:
         self.gram = np.array([[A[at].T @ A[at] for at in self.rows] for A in self.A])
         self._cache = WeakKeyDictionary()
 
-    def columns(self, member):
+    def columns(self, member, motion):
         """Return the columns (nj, m, k) of a member in time."""
         if member.columns not in self._cache:
-            columns = self.view.columns([member.effect], self.motion)
+            columns = self.view.columns([member.effect], motion)
             self._cache[member.columns] = columns[:, self.order, 0]
         return self._cache[member.columns]
-
-    def validate(self, fit):
-        """Cross-validate a `Fit`, and return a `HeldOutFit`."""
-        self.motion = fit.problem.motion
-        return HeldOutFit(self, fit)
 
 
 class HeldOutFit:
@@ -128,11 +123,11 @@ class HeldOutFit:
 
     def _joint_terms(self, j):
         """Return indices (p_j,) of coefficients that act on a joint, and columns."""
-        terms = [
-            (np.r_[place], self.data.columns(member)[member.joints.index(j)])
-            for place, member in zip(self._slices, self.fit.members)
-            if j in member.joints
-        ]
+        terms, motion = [], self.fit.problem.motion
+        for place, member in zip(self._slices, self.fit.members):
+            if j in member.joints:
+                columns = self.data.columns(member, motion)
+                terms.append((np.r_[place], columns[member.joints.index(j)]))
         empty = np.zeros(0, int), np.zeros((self.data.row_fold.size, 0))
         return tuple(np.concatenate(parts, axis=-1) for parts in zip(empty, *terms))
 

@@ -7,7 +7,7 @@ import scipy
 
 from sklearn_vbjfa._core._runtime import say
 from sklearn_vbjfa.diagnosis.search._candidates import Candidates
-from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
+from sklearn_vbjfa.diagnosis.search._held_out import HeldOut, HeldOutFit
 from sklearn_vbjfa.diagnosis.search._problem import (
     Columns,
     Fit,
@@ -397,11 +397,11 @@ class Path:
         return np.array(log_odds)
 
     def validate(self, fit):
-        """Cross-validate a fit, see `HeldOut.validate`."""
+        """Cross-validate a fit, `HeldOutFit`."""
         view = fit.problem.view
         if self._held is None or self._held.view is not view:
             self._held = HeldOut(view)
-        return self._held.validate(fit)
+        return HeldOutFit(self._held, fit)
 
     def above_motion(self, fit, effect):
         """Check whether a channel filter's corner is above the motion's frequencies."""

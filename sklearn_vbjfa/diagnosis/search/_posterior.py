@@ -6,7 +6,11 @@ from numbers import Integral, Real
 import numpy as np
 from scipy.special import expit, ndtr, ndtri
 
-from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain, HeldOut
+from sklearn_vbjfa.diagnosis.search._held_out import (
+    CrossValidatedGain,
+    HeldOut,
+    HeldOutFit,
+)
 from sklearn_vbjfa.diagnosis.search._path import (
     ENTRY_SHARE,
     Path,
@@ -163,7 +167,7 @@ def search(view, library, settings, alpha, max_effects=None):
         resting &= bank_joints
     gains = gains | (large := _sufficient_gains(path.validate(fit), settings.min_gain))
     log_odds = path.candidates.log_odds(fit, usual=True)
-    problem, motion, findings = fit.problem, fit.problem.motion, []
+    view, findings = fit.problem.view, []
     for i, (member, entry) in enumerate(zip(fit.members, odds)):
         evidence = Evidence(log_odds=float(entry), **vars(gains[i]))
         rivals = tuple(
@@ -178,10 +182,10 @@ def search(view, library, settings, alpha, max_effects=None):
         findings.append(Finding(**entry, rivals=rivals, warning=warning))
     return SearchResult(
         findings=sort_findings(findings),
-        view=problem.view,
-        motion=motion,
+        view=view,
+        motion=fit.problem.motion,
         # Folds interleaved in time, as the held-out part is.
-        residual=HeldOut(problem.view, problem.view.blocks.fold).validate(fit).residual,
+        residual=HeldOutFit(HeldOut(view, view.blocks.fold), fit).residual,
         fit=fit,
         candidates=path.candidates.columns,
         n_candidates=path.candidates.count,

@@ -208,16 +208,10 @@ def with_shape(fit, i, effect):
 
 def bank(fit, effect, scale):
     """Return the best bank given a fit, with its elements of positive size."""
-    # Columns that do not depend on the load stay cached if it changes.
-    problem, by_needs, best = fit.problem, {}, []
-    for shape in problem.shapes(effect):
-        by_needs.setdefault(shape.needs, []).append(shape)
-    for group in by_needs.values():
-        groups = fit.groups(problem.columns(group))
-        evidence = groups.evidence(scale)
-        c = int(np.argmax(evidence))
-        best.append((evidence[c], group[c], groups.coefficients()[c]))
-    _, chosen, coef = max(best, key=lambda x: x[0])
+    problem, shapes = fit.problem, fit.problem.shapes(effect)
+    groups = fit.groups(problem.columns(shapes))
+    c = int(np.argmax(groups.evidence(scale)))
+    chosen, coef = shapes[c], groups.coefficients()[c]
     used = coef[: len(chosen.coefficients)] > 0
     if used.any():
         chosen = chosen.only(used).finer()
@@ -228,8 +222,8 @@ def bank(fit, effect, scale):
 # -- instants of jumps
 
 
-def jump(fit, effect, scale, near=False):
-    """Return a jump with its most probable times, if `near` without refinement."""
+def jump(fit, effect, scale):
+    """Return a jump with its most probable times."""
 
     def evidence(effects):
         return fit.groups(fit.problem.columns(effects)).evidence(scale)
@@ -257,7 +251,7 @@ def jump(fit, effect, scale, near=False):
         effects.append(pulses[place])
         values = np.append(values, gains[place] - penalty)
     best = effects[int(np.argmax(values))]
-    for name in () if near else best.shape():
+    for name in best.shape():
         best = refine_instant(best, evidence, motion, name)
     return best
 

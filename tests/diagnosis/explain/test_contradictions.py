@@ -3,7 +3,7 @@ import pytest
 
 from sklearn_vbjfa import EffectDiscovery
 from sklearn_vbjfa.diagnosis.explain import FinalFit, RecordingMoments, contradictions
-from sklearn_vbjfa.diagnosis.search import RecordingView
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.recording import take_arrays
 from tests.diagnosis._recordings import TWO_MOTIONS, record
 from tests.effects._arms import inverse_dynamics, last_body_regressor

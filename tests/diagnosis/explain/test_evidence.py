@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sklearn_vbjfa.diagnosis.search import CrossValidatedGain
+from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain
 
 gain_of = CrossValidatedGain.of
 

@@ -13,7 +13,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     Outcome,
     Unexplained,
 )
-from sklearn_vbjfa.diagnosis.search import UNDECIDED, Evidence
+from sklearn_vbjfa.diagnosis.search._posterior import UNDECIDED, Evidence
 from sklearn_vbjfa.effects import Effect, resolve
 from sklearn_vbjfa.inspection import ChannelFinding
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.diagnosis import SearchSettings
-from sklearn_vbjfa.diagnosis.search import RecordingView
-from sklearn_vbjfa.diagnosis.search import search as posterior
 from sklearn_vbjfa.diagnosis.search._path import Path
+from sklearn_vbjfa.diagnosis.search._posterior import search as posterior
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.recording import take_arrays
 from tests.diagnosis._recordings import record
 

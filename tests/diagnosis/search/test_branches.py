@@ -8,8 +8,8 @@ import pytest
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, root_joints
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Coupling, resolve
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._faults import Cubic

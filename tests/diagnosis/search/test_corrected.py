@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa.diagnosis.search import Problem
+from sklearn_vbjfa.diagnosis.search._problem import Problem
 from sklearn_vbjfa.effects import (
     BaseTilt,
     Coulomb,

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
 
-from sklearn_vbjfa.diagnosis.search import Cosines, Spectrum
+from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
 
 STEP = 0.02
 

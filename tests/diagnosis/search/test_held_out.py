@@ -7,8 +7,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa.diagnosis import SearchSettings
-from sklearn_vbjfa.diagnosis.search import CrossValidatedGain, HeldOut, fold_of
-from sklearn_vbjfa.diagnosis.search._held_out import HeldOutFit
+from sklearn_vbjfa.diagnosis.search._held_out import (
+    CrossValidatedGain,
+    HeldOut,
+    HeldOutFit,
+    fold_of,
+)
 from sklearn_vbjfa.effects import Coulomb, Spring
 from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring
 
@@ -26,7 +30,7 @@ def fit_three(groups=None):
 @pytest.fixture(scope="module", params=[None, THREE], ids=["one", "three"])
 def fitted(request):
     fit = fit_three(request.param)
-    return fit, HeldOut(fit.problem.view).validate(fit)
+    return fit, HeldOutFit(HeldOut(fit.problem.view), fit)
 
 
 def refits(fit, left_out, members, block_fold=None, studentised=False, counted=1):
@@ -39,7 +43,7 @@ def refits(fit, left_out, members, block_fold=None, studentised=False, counted=1
         member = fit.members[i]
         X = np.zeros((view.nv, view.index.size, member.width))
         (joint,) = member.joints
-        X[joint] = view.columns([member.effect], left_out.data.motion)[0, :, 0]
+        X[joint] = view.columns([member.effect], fit.problem.motion)[0, :, 0]
         columns.append(X)
         precision.append(1.0 / (member.scale * member.unit) ** 2)
     A = np.concatenate(columns, axis=2)
@@ -105,9 +109,9 @@ def test_held_out_residuals_are_studentised(fitted):
 
 def test_friction_fixed_at_zero_is_fixed_in_each_fold():
     fit = fit_three()
-    free = HeldOut(fit.problem.view).validate(fit).squares
+    free = HeldOutFit(HeldOut(fit.problem.view), fit).squares
     fit = fit.with_held([[True], [False]])
-    cv = HeldOut(fit.problem.view).validate(fit)
+    cv = HeldOutFit(HeldOut(fit.problem.view), fit)
     assert_allclose(cv.squares, refits(fit, cv, [0, 1, 2]), rtol=1e-3)
     assert cv.squares[:, 0].sum() > 2.0 * free[:, 0].sum()
 
@@ -116,7 +120,7 @@ def test_folds_can_be_passed():
     """Pass the folds of the blocks explicitly."""
     fit = fit_three()
     view = fit.problem.view
-    cv = HeldOut(view, view.blocks.fold).validate(fit)
+    cv = HeldOutFit(HeldOut(view, view.blocks.fold), fit)
     assert_allclose(cv.squares, refits(fit, cv, [0, 1, 2]), rtol=3e-4)
     assert_array_equal(cv.data.fold, view.blocks.fold)
 
@@ -124,7 +128,7 @@ def test_folds_can_be_passed():
 def test_held_out_residual_reaches_the_noise_floor(fitted):
     fit, cv = fitted
     view = fit.problem.view
-    cv = HeldOut(view, view.blocks.fold).validate(fit)
+    cv = HeldOutFit(HeldOut(view, view.blocks.fold), fit)
     rms = np.sqrt((cv.residual**2).sum(axis=1) / view.rows)
     noise = view.filtered(CLEAN.noise).std(axis=0)
     assert_allclose(rms, noise, rtol=0.3)

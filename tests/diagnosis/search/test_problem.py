@@ -10,15 +10,17 @@ from scipy.fft import dct
 from scipy.signal import lfilter
 
 from sklearn_vbjfa.diagnosis import SearchSettings
-from sklearn_vbjfa.diagnosis.search import (
+from sklearn_vbjfa.diagnosis.search._cosines import Spectrum
+from sklearn_vbjfa.diagnosis.search._problem import (
+    Base,
     Columns,
     Fit,
     Problem,
     SelectedEffect,
-    Spectrum,
+    _chance_limit,
+    _joint_columns,
     spectrum_of,
 )
-from sklearn_vbjfa.diagnosis.search._problem import Base, _chance_limit, _joint_columns
 from sklearn_vbjfa.effects import Coulomb, Drift, JointZero, Offset, Payload, Spring
 from tests.diagnosis._recordings import record
 from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn_vbjfa import EffectDiscovery, effects
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.diagnosis.search import _view as _thinned
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.fit import FitOptions, RobotIdentifier
 from tests.diagnosis.report._pages import text_of
 

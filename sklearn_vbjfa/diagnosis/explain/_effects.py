@@ -80,9 +80,8 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising, h
     # increase of the held-out error, at most zero if tolerated; hidden: effects that
     # are not identifiable.
     hidden = {(x.name, x.joint) for x in hidden if x.reason == "excitation"}
-    for finding, effect, estimate in zip(
-        search.findings, final.effects, final.effect_estimates
-    ):
+    found = zip(search.findings, final.effects, final.effect_estimates)
+    for finding, effect, estimate in found:
         values, deviations = named_values(effect, estimate)
         unknown = [key for key, std in deviations.items() if math.isnan(std)]
         values |= {k: math.nan for k in unknown if abs(values[k]) < _ROUNDING}

@@ -83,14 +83,10 @@ def error_intervals(held_out, searched, spread, step):
     # held_out, searched: pairs of residuals, before and after. An error is a mean over
     # time, whose variance in the next motion follows from the long-run variance of the
     # squared residual in both parts of the recording.
-    index = np.concatenate([searched[0].index, held_out[0].index])
-    by_time = np.argsort(index, kind="stable")
-
-    def in_time(name, k):
-        values = [getattr(x[k], name) for x in (searched, held_out)]
-        return np.concatenate(values)[by_time]
-
-    weight = in_time("weight", 0)
+    parts = searched, held_out
+    by_time = np.argsort(np.concatenate([x.index for x, _ in parts]), kind="stable")
+    weight = np.concatenate([x.weight for x, _ in parts])[by_time]
+    residuals = (np.concatenate([x.residual for x in pair]) for pair in zip(*parts))
     (m, nv), total = weight.shape, weight.sum(axis=0)
     freedom = min(_COSINES, m // 4)
     if freedom < 1:
@@ -98,7 +94,7 @@ def error_intervals(held_out, searched, spread, step):
     before, after = (part.relative_error(spread) for part in held_out)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         # Linearised logarithm of each error, about its mean over the weighted rows.
-        squares = [weight * in_time("residual", k) ** 2 for k in (0, 1)]
+        squares = [weight * residual[by_time] ** 2 for residual in residuals]
         logs = [0.5 * (x / or_one(x.sum(axis=0) / total) - weight) for x in squares]
         # Variance of a mean for rows weighted as in the whole recording.
         rows = held_out[0].weight

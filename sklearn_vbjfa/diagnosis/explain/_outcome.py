@@ -146,6 +146,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
     effects = tuple(discovered_effects(search, final, names, prismatic, *doubts))
     judged_effects = loop.validation_model_.effects_
     parameters = parameter_values(identifier)
+    masses = _masses(identifier, parameters)
     units = np.where(prismatic, "N", "N m").tolist()
     if identifier.gains_ is not None and not identifier.gains_.absolute:
         gains, recorded = np.ones(spread.size), whole.torque_units
@@ -158,6 +159,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
     used, size = residuals[1].weight > 0, np.abs(residuals[1].residual)
     for j in np.flatnonzero(used.any(axis=0)):
         columns["threshold"][j] = np.quantile(size[used[:, j], j], _QUANTILE)
+    sizes = spread, floor, gains
     intervals = {key: zip(*ends.tolist()) for key, ends in judged["intervals"].items()}
     columns |= {"joint": range(spread.size), "name": names, "unit": units}
     columns |= {"position_unit": np.where(prismatic, "m", "rad")}
@@ -171,9 +173,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
             "effects": tuple(e for e in effects if not e.warning),
             "possible": tuple(e for e in effects if e.warning),
             "unnamed": tuple(e for e in judged_effects if isinstance(e, UnnamedTorque)),
-            "unexplained": unexplained(
-                search, names, (spread, floor, gains), errors, low
-            ),
+            "unexplained": unexplained(search, names, sizes, errors, low),
             "not_identifiable": hidden,
             "channels": channels,
             "contradictions": differing,
@@ -181,11 +181,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
             "departures": identifier.mass_deviations_,
             "alike": identifier.alike_,
         },
-        facts=(
-            *parameters,
-            *_masses(identifier, parameters),
-            *_expected(expectation, names),
-        ),
+        facts=(*parameters, *masses, *_expected(expectation, names)),
         robot=_robot(loop, search, identifier, whole),
         curves={
             "index": residuals[0].index,

@@ -145,10 +145,10 @@ class RecordingMoments:
         """Squared errors on held-out parts of each recording, (2, r, nv)."""
         # Of fits to the rest of the recording, and to the rest of all recordings.
         squares = np.zeros((2, self.count, self.nv))
-        for test in np.eye(self.recording.size, dtype=bool):
-            r = self.recording[test.argmax()]
-            if np.unique(self._part[self.origin == r]).size == _PARTS:
-                same = self.recording == r
+        filled = np.bincount(self._part, minlength=self.recording.size) > 0
+        for test, r in zip(np.eye(self.recording.size, dtype=bool), self.recording):
+            same = self.recording == r
+            if filled[same].all():
                 squares[0, r] += self.squares(test, same & ~test)
                 squares[1, r] += self.squares(test, ~test)
         return squares
@@ -344,12 +344,10 @@ def _gain(h, H):
 
 def _thirds(recording, values, weight):
     """Divide the rows of recordings (m,) into thirds by the values of a signal."""
-    part = np.zeros(values.size, dtype=int)
-    for number in range(recording.max() + 1):
-        rows = np.flatnonzero(recording == number)
-        order = rows[np.argsort(values[rows], kind="stable")]
-        cumulative = np.cumsum(weight[order])
-        share = cumulative / or_one(cumulative[-1])
-        third = np.minimum((_PARTS * share).astype(int), _PARTS - 1)
-        part[order] = _PARTS * number + third
+    order, part = np.lexsort((values, recording)), np.empty(values.size, dtype=int)
+    cumulative, total = np.cumsum(weight[order]), np.bincount(recording, weight)
+    before = np.cumsum(total) - total
+    share = (cumulative - before[recording[order]]) / or_one(total)[recording[order]]
+    third = np.minimum((_PARTS * share).astype(int), _PARTS - 1)
+    part[order] = _PARTS * recording[order] + third
     return part

@@ -91,14 +91,10 @@ def motion_plan(outcome, joints):
         if not np.isfinite(ends).all():
             ends = recorded.lowest, recorded.highest
         fastest = fastest if math.isfinite(fastest) else recorded.fastest
-        rows.append(
-            (
-                words.joint_label(outcome.robot["joints"], j),
-                range_text(outcome, j, "position", ends),
-                range_text(outcome, j, "speed", (_SLOWEST * fastest, fastest)),
-                f"{SECONDS} s",
-            )
-        )
+        ranges = {"position": ends, "speed": (_SLOWEST * fastest, fastest)}
+        texts = (range_text(outcome, j, *pair) for pair in ranges.items())
+        label = words.joint_label(outcome.robot["joints"], j)
+        rows.append((label, *texts, f"{SECONDS} s"))
     return rows
 
 

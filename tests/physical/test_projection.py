@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import block_diag
 
 from sklearn_vbjfa.physical import (
     Options,
@@ -64,17 +65,12 @@ def test_free_columns_keep_their_sign():
 def anchor_weight(A, rank, weight=1e-10):
     """Weight of the anchor in the null space of a metric; rank None: full rank.
 
-    Transcribed from the documentation, for bodies in scaled units.
+    In units of the square roots of the metric's diagonal.
     """
-    if rank is None:
-        return np.zeros_like(A)
-    diagonal, nonnegative = np.diag(A), np.arange(10, len(A), 11)
-    largest = diagonal[np.setdiff1d(np.arange(len(A)), nonnegative)].max()
-    units = np.ones(len(A))
-    units[nonnegative] = np.sqrt(largest / diagonal[nonnegative])
-    _, basis = np.linalg.eigh(A * np.outer(units, units))
-    null_space = basis[:, : len(A) - rank] / units[:, None]
-    return weight * largest * null_space @ null_space.T
+    size = np.sqrt(np.diag(A))
+    _, basis = np.linalg.eigh(A / np.outer(size, size))
+    null_space = size[:, None] * basis[:, : 0 if rank is None else len(A) - rank]
+    return weight * null_space @ null_space.T
 
 
 conditionings = st.sampled_from(
@@ -99,8 +95,7 @@ def test_objective_is_the_optimum_of_an_independent_solver(
     units = np.ones((n_bodies, 11))
     units[:, :10] = mass[:, None] * length[:, None] ** POWERS
     units = units.ravel()
-    # With the documented anchor, in the documented units, both have the same unique
-    # minimum.
+    # With the same pull to the anchor both have the same unique minimum.
     full = A * np.outer(units, units)
     full = full + anchor_weight(full, rank)
     _, optimum = cvxopt_projection(theta / units, full, constraint, starts, kept, 1e-6)
@@ -137,6 +132,19 @@ def test_a_nearly_massless_anchor_does_not_outweigh_the_metric(seed):
         change = project(theta, A, anchor=anchor) - theta
         distances.append(change @ A @ change)
     assert distances[1] == pytest.approx(distances[0], rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_light_body_does_not_move_a_heavy_one(seed):
+    rng = np.random.default_rng(seed)
+    heavy, light = robot(rng, 1), 1e-6 * inconsistent_robot(rng, 1)
+    A, small = metric(rng, heavy.size, 1e3, 7), metric(rng, light.size, 1e3, 7)
+    whole = block_diag(A, 1e12 * small)
+    anchor = np.concatenate([robot(rng, 1), 1e-6 * robot(rng, 1)])
+    theta = np.concatenate([heavy, light])
+    change = project(theta, whole, anchor=anchor) - theta
+    moved = change[: heavy.size]
+    assert abs(moved @ A @ moved) < 1e-12
 
 
 def test_rounding_of_a_singular_regression_is_removed_with_a_warning():

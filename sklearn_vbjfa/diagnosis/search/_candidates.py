@@ -10,7 +10,7 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._groups import Overdispersion
 from sklearn_vbjfa._core._runtime import counted
 from sklearn_vbjfa.diagnosis.search._problem import Columns
-from sklearn_vbjfa.effects import Bank, InModel, Shaped, closure
+from sklearn_vbjfa.effects import Bank, InModel, OnAllJoints, Shaped, closure
 
 # Reject a directed effect if its mirror image has more than this share of its gain.
 _MIRROR = 0.5
@@ -62,15 +62,17 @@ class Candidates:
         self.noise, self.rejected = None, set()
         self.columns = {int(j): [] for j in np.flatnonzero(problem.used_joints)}
         uses = []
-        for j, effect in itertools.product(self.columns, library):
+        for j, effect in itertools.product(range(problem.view.nv), library):
             new = clone(effect).set_params(joint=j)
-            excluded = isinstance(effect, Bank) and j in no_bank
+            # A joint without samples may have effects on the torques of others.
+            excluded = j not in self.columns and not isinstance(effect, OnAllJoints)
+            excluded |= isinstance(effect, Bank) and j in no_bank
             if excluded or new.name in problem.view.declared:
                 continue
             if not new.applies(problem.motion):
                 uses += _uses(problem.shapes(new, first=True))
         for use in counted(uses, "candidate", len(uses)):
-            self.columns[use[0].joint].append(problem.columns(use))
+            self.columns.setdefault(use[0].joint, []).append(problem.columns(use))
         self.count = len(uses)
         self.log_prior = np.log(settings.expected / max(self.count, 1))
         # Log odds above which an effect is in the model.
@@ -186,7 +188,9 @@ class Candidates:
 
     def _best_on(self, fit, joint, changed):
         """Return the best discounted candidate of a joint, None if none is probable."""
-        white = fit.residual[joint] * np.sqrt(fit.base.weights[joint])
+        # The residual of a joint without samples is zero.
+        own = [joint] if fit.problem.used_joints[joint] else slice(None)
+        white = fit.residual[own] * np.sqrt(fit.base.weights[own])
         members = {m.effect.key() for m in fit.members if joint in m.joints}
         if joint in self._cache:
             old, keys, _ = self._cache[joint]

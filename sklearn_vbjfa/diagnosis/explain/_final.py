@@ -21,6 +21,8 @@ from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 
 # Relative step of finite differences with respect to a shape parameter.
 _STEP = 1e-3
+# Axes of rows and joints in products of columns (m, nj, k).
+_ROWS = (0, 1), (0, 1)
 # Trial factors on the shape parameter of other forms of an effect; relative eigenvalue
 # threshold for the rank of the other columns.
 _SHAPE_FACTORS, _RANK = tuple(np.geomspace(1 / 3, 3.0, 21).tolist()), 1e-10
@@ -165,26 +167,24 @@ class FinalFit:
     def _branches(self, extra):
         """Yield joints with common columns, these, and their scaled rows (m, nj, k)."""
         # extra (m, nv, q): further columns; rows are scaled like the residuals.
-        Z, extra = self.view.Z, extra * self.view.root[:, :, None]
+        Z, (_, _, factor) = self.view.Z, self._scaled
+        extra = extra * self.view.root[:, :, None]
         support = Z.any(axis=1), extra.any(axis=0)
         for joints, columns in branches(np.hstack(support)):
             declared, further = np.split(columns, np.searchsorted(columns, Z.shape[2:]))
             rows = [Z[joints[:, None], :, declared].transpose(2, 0, 1)]
             rows.append(extra[:, joints][:, :, further - Z.shape[2]])
-            rows = np.concatenate(rows, axis=2) * self._scaled[2][joints, None]
-            yield joints, columns, rows
+            yield joints, columns, np.concatenate(rows, axis=2) * factor[joints, None]
 
     def _block_variance(self, extra):
         """Estimate the variance from blocks, for columns (m, nv, q) of effects."""
-        keys, label = _blocks(self.view)
+        (keys, label), (_, residual, _) = _blocks(self.view), self._scaled
         parts, n = [], self.view.Z.shape[2] + extra.shape[2]
         scores = np.zeros((len(keys), n))
         for joints, columns, rows in self._branches(extra):
-            rows = np.dstack([rows, self._scaled[1][:, joints]])
-            blocks = (
-                rows[label == k].reshape(-1, rows.shape[2]) for k in range(len(keys))
-            )
-            products = np.array([block.T @ block for block in blocks])
+            rows = np.dstack([rows, residual[:, joints]])
+            blocks = (rows[label == k] for k in range(len(keys)))
+            products = np.array([np.tensordot(x, x, _ROWS) for x in blocks])
             parts.append((columns, products[:, :-1, :-1]))
             scores[:, columns] = products[:, :-1, -1]
         return block_variance(parts, scores, keys)
@@ -192,11 +192,8 @@ class FinalFit:
     @functools.cached_property
     def _coupled(self):
         """Joints with common columns, these, scaled rows and Gram matrix, a list."""
-        coupled = []
-        for joints, columns, rows in self._branches(self.added):
-            gram = np.tensordot(rows, rows, ((0, 1), (0, 1)))
-            coupled.append((joints, columns, rows, gram))
-        return coupled
+        coupled = self._branches(self.added)
+        return [(*names, x, np.tensordot(x, x, _ROWS)) for *names, x in coupled]
 
     def _forms(self, i, estimate):
         """Return probabilities and parameters of other forms of an effect."""

@@ -68,12 +68,9 @@ class Branch:
 
     def view(self, robot, recording, leave_out, **keywords):
         """Return the `RecordingView` of the branch of a fitted robot."""
-        silent, part = self.local(leave_out), self.recording(recording)
+        silent, part = np.isin(self.joints, leave_out), self.recording(recording)
+        silent = np.flatnonzero(silent)
         return RecordingView(self.robot(robot), part, silent, **keywords)
-
-    def local(self, joints):
-        """Return the indices in the branch of those joints that belong to it."""
-        return [k for k, j in enumerate(self.joints) if j in joints]
 
     def on_robot(self, effect):
         """Renumber the joints of an effect of the branch as in the robot."""

@@ -155,12 +155,8 @@ class Candidates:
         )
         return [candidate for candidate in candidates if candidate is not None]
 
-    def reset(self):
-        """Forget rejections and cached candidates."""
-        self.rejected, self._cache = set(), {}
-
     def reject(self, candidate):
-        """Exclude an effect until the next `reset`."""
+        """Exclude an effect."""
         self.rejected.update(candidate.columns.keys)
         self._cache.pop(candidate.effect.joint, None)
 

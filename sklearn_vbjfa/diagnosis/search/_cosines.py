@@ -37,8 +37,7 @@ class Cosines:
         self._interpolations = [(row[a], row[b], share) for a, b, share in between]
         frequency = [np.arange(n) / (2.0 * n * view.step) for n in lengths]
         frequency = np.concatenate(frequency)
-        cutoff = view.robot.cutoff_
-        kept = np.flatnonzero(frequency <= (cutoff if np.isfinite(cutoff) else np.inf))
+        kept = np.flatnonzero(frequency <= view.robot.cutoff_)
         band, self.octave = _bands(frequency[kept], 0.5 / (max(lengths) * view.step))
         order = np.argsort(band, kind="stable")
         self.band, self._kept = band[order], kept[order]

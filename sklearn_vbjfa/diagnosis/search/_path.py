@@ -12,7 +12,7 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     Columns,
     Fit,
     Problem,
-    declared_weights,
+    fit_uniform,
     spectrum_of,
     with_joint_weights,
 )
@@ -58,7 +58,7 @@ class Path:
 
     def fit_declared(self):
         """Fit the declared columns alone, and compute the load from that fit."""
-        fit = Fit(declared_weights(Problem(self.view)))
+        fit = fit_uniform(Problem(self.view), self.view.precision)
         problem = fit.problem.changed(motion=self.view.motion(fit.theta))
         return Fit(fit.base.on(problem))
 
@@ -118,7 +118,7 @@ class Path:
 
     def _climb(self, fit):
         """Add, drop, refine and exchange until nothing is more probable."""
-        visited, refined, untried = {effect_keys(fit)}, frozenset(), True
+        visited, refined = {effect_keys(fit)}, frozenset()
         # `context_key` of members for which no exchange is more probable.
         self._compared, held = set(), set()
         while True:
@@ -129,11 +129,6 @@ class Path:
                 joints = {joint for _, joint, _ in effect_keys(fit) ^ refined}
                 refined = effect_keys(fit)
                 new = self._pruned(self.refined(fit, joints))
-            elif new is None and self.candidates.rejected and untried:
-                # Retry candidates that were rejected given another model.
-                untried = False
-                self.candidates.reset()
-                continue
             if new is None:
                 new = self._exchanged(fit, visited)
             if new is None:

@@ -591,15 +591,20 @@ class Fit:
         return Fit(self.base.without_correction(self.members[i]), members)
 
 
-def declared_weights(problem):
-    """Return the base under the joint weights of the robot's fit."""
-    return _uniform_base(problem, problem.view.precision * problem.cosines.fill)
-
-
-def _uniform_base(problem, weights):
-    """Return the base under one weight per joint (nv,)."""
+def fit_uniform(problem, weights, members=()):
+    """Fit under one weight per joint (nv,), for rows that all have weight."""
+    density = (weights * problem.cosines.fill)[:, None]
     bands = problem.cosines.octave.size
-    return Base(problem, np.repeat(weights[:, None], bands, axis=1))
+    return Fit(Base(problem, np.repeat(density, bands, axis=1)), members)
+
+
+def with_joint_weights(fit):
+    """Refit under one weight per joint, by its residual."""
+    problem = fit.problem
+    power = (fit.residual**2).mean(axis=1)
+    used = problem.used_joints & (power > 0)
+    weights = np.where(used, 1.0 / np.where(used, power, 1.0), 0.0)
+    return fit_uniform(problem, weights, fit.members)
 
 
 # Exponents of the spectrum for the weights, from full to no spectral weighting.
@@ -615,7 +620,8 @@ def spectrum_of(fit, settings, rounds=3, share=None):
     if share is not None:
         return _spectral_fit(fit, settings, rounds, share)
     problem = fit.problem
-    flat = with_joint_weights(Fit(declared_weights(problem), fit.members))
+    flat = fit_uniform(problem, problem.view.precision, fit.members)
+    flat = with_joint_weights(flat)
     limit = _chance_limit(flat.base, _spectrum(flat, settings), settings.significance)
     for start, share in ((fit, 1.0), *((flat, x) for x in _SHARES)):
         estimate = _spectral_fit(start, settings, rounds, share)
@@ -656,12 +662,3 @@ def _chance_limit(flat, spectrum, significance):
     M = problem.gram.sum(axis=1) @ C
     deviation = np.sqrt(2.0 * np.einsum("jpq,jqp->j", M, M))
     return np.einsum("jpp->j", M) + significance * deviation
-
-
-def with_joint_weights(fit):
-    """Refit under one weight per joint, by its residual."""
-    problem = fit.problem
-    power = (fit.residual**2).mean(axis=1)
-    used = problem.used_joints & (power > 0)
-    weights = np.where(used, problem.cosines.fill / np.where(used, power, 1.0), 0.0)
-    return Fit(_uniform_base(problem, weights), fit.members)

@@ -209,10 +209,7 @@ class Effect(TransformerMixin, BaseEstimator):
         return all(fitted[name] >= 0 for name in self.nonnegative)
 
     def opposite(self):
-        """Return the effect with the opposite sign, as of a delay; None for others.
-
-        If it explains nearly as much, the cause is symmetric: a search accepts neither.
-        """
+        """Return the effect with the opposite sign, as of a delay; None for others."""
         return None
 
     def excludes(self):

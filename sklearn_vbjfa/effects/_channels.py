@@ -89,9 +89,7 @@ class OfChannel(Shaped, Converted, Stateful):
 class Delay(OfChannel):
     """The torque signal lags behind the positions, tau(t - delay).
 
-    To first order the column is -dtau/dt. Smoothing of the torque resembles a delay of
-    either signal: if the opposite delay explains nearly as much, a search accepts
-    neither. Source: Ljung (1999), section 10.3.
+    To first order the column is -dtau/dt. Source: Ljung (1999), section 10.3.
 
     Parameters
     ----------

@@ -12,8 +12,6 @@ from sklearn_vbjfa._core._runtime import counted
 from sklearn_vbjfa.diagnosis.search._problem import Columns
 from sklearn_vbjfa.effects import Bank, InModel, OnAllJoints, Shaped, closure
 
-# Reject a directed effect if its mirror image has more than this share of its gain.
-_MIRROR = 0.5
 # Least log odds of geometric candidates.
 _GEOMETRY_ODDS = -20.0
 # Candidates of a joint are updated if half the squared change of its weighted residual
@@ -105,8 +103,6 @@ class Candidates:
         for c in np.flatnonzero(eligible):
             effect = columns.effects[c]
             eligible[c] = effect.plausible(coefs[c, : len(effect.coefficients)])
-        if columns.opposite_keys:
-            eligible &= _is_directed(columns, groups.gain(), eligible)
         if not eligible.any():
             return None
         evidence = np.where(eligible, evidence, -np.inf)
@@ -267,15 +263,3 @@ class Candidates:
             evidence = float(discounted.evidence(scale)[0])
             log_odds.append(evidence - np.log(self.shapes(member)))
         return np.array(log_odds) + self.log_prior
-
-
-def _is_directed(columns, gain, eligible):
-    """Check which shapes explain much more than their mirror images, (c,)."""
-    best = {}
-    for key, x, allowed in zip(columns.keys, gain, eligible):
-        if allowed:
-            best[key] = max(best.get(key, 0.0), x)
-    pairs = zip(columns.keys, columns.opposite_keys)
-    return np.array(
-        [best.get(other, 0.0) <= _MIRROR * best.get(key, 0.0) for key, other in pairs]
-    )

@@ -308,13 +308,12 @@ class Path:
 
     def refined(self, fit, joints=None):
         """Refit the shapes of members, on all joints or some."""
-        shaped = [
+        indices = [
             i
             for i, member in enumerate(fit.members)
-            if (isinstance(member.effect, (Bank, Sudden)) or member.effect.continuous)
-            and (joints is None or member.effect.joint in joints)
+            if joints is None or member.effect.joint in joints
         ]
-        return self.scaled(search_shapes(fit, shaped, self.settings.scale))
+        return self.scaled(search_shapes(fit, indices, self.settings.scale))
 
     def scaled(self, fit):
         """Set the most probable prior scale of each member."""

@@ -1,6 +1,6 @@
 """Reported effects: settings, posterior odds, and the rules of reporting."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from numbers import Integral, Real
 
 import numpy as np
@@ -79,14 +79,11 @@ class SearchSettings:
     most: int = 6
 
     def __post_init__(self):
-        rules = dict.fromkeys(
-            (x.name for x in fields(self)), (Real, np.inf, "positive")
-        )
         fraction = Real, 1, "positive and below 1"
-        rules |= {"min_probability": fraction, "min_gain": fraction}
-        rules |= {"most": (Integral, np.inf, "a positive integer")}
-        for name, (kind, limit, expected) in rules.items():
-            value = getattr(self, name)
+        rules = {"min_probability": fraction, "min_gain": fraction}
+        rules["most"] = Integral, np.inf, "a positive integer"
+        for name, value in vars(self).items():
+            kind, limit, expected = rules.get(name, (Real, np.inf, "positive"))
             valid = isinstance(value, kind) and not isinstance(value, bool)
             if not (valid and 0 < value < limit):
                 raise ValueError(

@@ -70,13 +70,6 @@ class Columns:
         return tuple(effect.key() for effect in self.effects)
 
     @functools.cached_property
-    def opposite_keys(self):
-        """Keys of their mirror images, empty if they have none."""
-        if self.effects[0].opposite() is None:
-            return ()
-        return tuple(effect.opposite().key() for effect in self.effects)
-
-    @functools.cached_property
     def simple(self):
         """Which shapes are preferred to others that are not more probable, (c,)."""
         return np.array([effect.simple for effect in self.effects])

@@ -194,7 +194,7 @@ def search_shapes(fit, indices, scale):
             fit = with_shape(fit, i, best_shape(fit.without(i), effect, scale))
         else:
             forms = (with_shape(fit, i, form) for form in effect.forms())
-            forms = [step_shapes(form, [i]) for form in forms]
+            forms = (step_shapes(form, [i]) for form in forms)
             fit = max([fit, *forms], key=Fit.log_evidence)
     return fit
 

@@ -18,7 +18,7 @@ _MODULES = {
         "run_windows",
         "slopes",
     ),
-    "_pooling": ("AlikeValue", "WIDTH", "most_probable"),
+    "_pooling": ("AlikeValue", "rotor_posterior"),
     "_signs": ("expected", "signed"),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

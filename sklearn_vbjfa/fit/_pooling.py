@@ -285,48 +285,60 @@ def _mean_and_scatter(y, S, unit):
     }
 
 
-# Standard deviation of the logarithm of a rotor inertia around its reference: a factor
-# of two, as between descriptions and measurements.
-WIDTH = np.log(2.0)
-# Standard deviations above which a rotor inertia is significant.
-_SIGNIFICANT = 2.0
-# Newton's method: maximum steps, smallest factor of a value in one step, tolerance.
-_MAX_STEPS, _SHRINK, _TOLERANCE = 50, 0.25, 1e-9
+# A described rotor inertia is that of the drive, within a factor of two (standard
+# deviation of the logarithm), or a default of the file without information: then any
+# positive value up to two deviations above the estimate. Both have equal odds.
+_WIDTH, _SIGNIFICANT = np.log(2.0), 2.0
+# Grids of values: logarithms around the description, deviations around the estimate.
+_NEAR, _AROUND = np.linspace(-5.0, 5.0, 101), np.linspace(-6.0, 6.0, 241)
+# Minimum precision of a site relative to the estimate; maximum passes, tolerance.
+_MIN_SITE, _MAX_STEPS, _TOLERANCE = 1e-6, 100, 1e-4
 
 
 def with_positive_rotors(result, robot):
-    """Return an `Estimate` with log-normal priors on the rotor inertias."""
+    """Return an `Estimate` with a prior of positive rotor inertias."""
     index, references = _rotor_references(result, robot)
     if not index.size or result.covariance is None:
         return result
     C, ratio = uninflated_covariance(result)
     determined = np.isfinite(result.std[index]) & (np.diagonal(C)[index] > 0)
     index, references = index[determined], references[determined]
-    S = C[np.ix_(index, index)] * np.outer(ratio[index], ratio[index])
-    y = result.theta_unconstrained[index]
-    mean, variance, centre = most_probable(y, S, references)
-    gain = np.linalg.solve(S + np.diag(variance), S).T
-    reduction = gain @ S / np.outer(ratio[index], ratio[index])
-    prior = np.diag(1.0 / variance)
-    return with_prior(result, index, mean - y, reduction, prior, centre / variance)
+    inflation = np.outer(ratio[index], ratio[index])
+    y, S = result.theta_unconstrained[index], C[np.ix_(index, index)] * inflation
+    mean, covariance, precision, right = rotor_posterior(y, S, references)
+    reduction = (S - covariance) / inflation
+    return with_prior(result, index, mean - y, reduction, np.diag(precision), right)
 
 
-def most_probable(y, S, references):
-    """Return the posterior mode under a log-normal prior, and its Gaussian equivalent.
-
-    y (k,), S (k, k): estimate and covariance; references (k,): medians of the prior.
-    Returns the mode (k,), and variances and means (k,) of the equivalent prior.
-    """
-    x = np.where(y > 0, y, references)
+def rotor_posterior(y, S, references):
+    """Return mean, covariance, and the prior's precisions and products with means."""
+    # y (k,), S (k, k): estimate and covariance. Sites as in `propagate_sites`.
+    variance, right = np.diagonal(S), np.zeros(y.size)
+    least = precision = _MIN_SITE / variance
+    limit = np.maximum(y, 0.0) + _SIGNIFICANT * np.sqrt(variance)
+    near = references * np.exp(_WIDTH * _NEAR[:, None])
     for _ in range(_MAX_STEPS):
-        # Linearise the logarithm at the present value.
-        variance, centre = (WIDTH * x) ** 2, x * (1.0 + np.log(references / x))
-        new = y + S @ np.linalg.solve(S + np.diag(variance), centre - y)
-        new = np.clip(new, _SHRINK * x, x / _SHRINK)
-        change, x = np.abs(new - x), new
-        if (change <= _TOLERANCE * x).all():
+        gain = np.linalg.solve(S + np.diag(1.0 / precision), S).T
+        mean, covariance = y + gain @ (right / precision - y), S - gain @ S
+        total = np.diagonal(covariance)
+        cavity = 1.0 / np.maximum(1.0 / total - precision, least)
+        start = cavity * (mean / total - right)
+        x = np.vstack([near, start + np.sqrt(cavity) * _AROUND[:, None]])
+        x = np.sort(np.where(x > 0, x, near[0]), axis=0)
+        density = np.exp(-0.5 * (np.log(x / references) / _WIDTH) ** 2) / x
+        density = density / (_WIDTH * np.sqrt(2 * np.pi)) + (x < limit) / limit
+        squares = (x - start) ** 2 / cavity
+        weight = density * np.exp(-0.5 * (squares - squares.min(axis=0)))
+        weight *= np.gradient(x, axis=0)
+        weight /= weight.sum(axis=0)
+        target = (weight * x).sum(axis=0)
+        spread = (weight * (x - target) ** 2).sum(axis=0)
+        if (np.abs(target - mean) <= _TOLERANCE * np.sqrt(spread)).all():
             break
-    return x, variance, centre
+        new = np.maximum(1.0 / spread - 1.0 / cavity, least)
+        right = 0.5 * (right + new * target + (target - start) / cavity)
+        precision = 0.5 * (precision + new)
+    return mean, covariance, precision, right
 
 
 def _rotor_references(result, robot):

@@ -5,34 +5,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.optimize import minimize
+from scipy.stats import lognorm
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.fit import WIDTH, most_probable
+from sklearn_vbjfa.fit import rotor_posterior
 from sklearn_vbjfa.robot import FitOptions
 from tests.robot.test_drives import ARM, ARMATURE, DT, EXACT, KD, KP, PDDrive, record
 
 
-def test_the_mode_is_that_of_the_log_normal_density():
-    """Found by minimising the negative logarithm of the product of the densities."""
+def test_described_values_or_defaults():
+    """The moments by quadrature; a default far below an uncertain estimate."""
     y, S = np.array([-0.02, 0.3]), np.array([[4e-3, 1e-3], [1e-3, 2e-3]])
-    references = np.array([0.05, 0.2])
-    W = np.linalg.inv(S)
-
-    def cost(logs):
-        away = np.exp(logs) - y
-        prior = ((logs - np.log(references)) ** 2).sum() / WIDTH**2
-        return 0.5 * (away @ W @ away + prior)
-
-    exact = np.exp(minimize(cost, np.log(references), tol=1e-12).x)
-    mode, variance, centre = most_probable(y, S, references)
-    assert_allclose(mode, exact, rtol=1e-5)
-    # The normal prior that stands for it has the same mode.
-    together = np.linalg.solve(
-        W + np.diag(1 / variance), W @ y + np.diag(1 / variance) @ centre
-    )
-    assert_allclose(together, mode, rtol=1e-6)
-    sure, *_ = most_probable(np.array([0.3]), np.array([[1e-10]]), np.array([0.01]))
+    references, W = np.array([0.05, 0.2]), np.linalg.inv(S)
+    x = np.linspace(1e-4, 0.6, 2000)
+    away = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1) - y
+    density = np.exp(-0.5 * np.einsum("abi,ij,abj->ab", away, W, away))
+    limit = np.maximum(y, 0.0) + 2.0 * np.sqrt(np.diagonal(S))
+    near = [lognorm.pdf(x, np.log(2.0), scale=reference) for reference in references]
+    first, second = near + (x < limit[:, None]) / limit[:, None]
+    density *= np.outer(first, second)
+    exact = [np.average(x, weights=density.sum(axis=k)) for k in (1, 0)]
+    assert_allclose(rotor_posterior(y, S, references)[0], exact, rtol=0.03)
+    wide = np.array([[18.0**2]])
+    mean, covariance, *_ = rotor_posterior(np.array([31.0]), wide, np.array([1e-3]))
+    assert abs(mean - 31.0) < np.sqrt(covariance)
+    sure, *_ = rotor_posterior(np.array([0.3]), np.array([[1e-10]]), np.array([0.01]))
     assert_allclose(sure, 0.3, rtol=1e-4)
 
 

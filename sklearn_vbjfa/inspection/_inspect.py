@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -260,7 +261,10 @@ def inspect_channels(
     dt *= log.every
     known["recordings"] = recordings
     reading = Reading(robot, names, q, tau, dt, parts, usable, **known)
-    findings = _compare_recordings(reading)
+    if len(parts) > 1 or any(x.severity == "error" for x in log.findings):
+        findings = _compare_recordings(reading)
+    else:
+        findings = _compare_parts(reading, [k // log.every for k in log.jumps], place)
     excluded = {
         *(() if reading.gains is None else _SCALE_KINDS),
         "torque_unit" if bodies == "free" else "",
@@ -273,21 +277,74 @@ def inspect_channels(
 
 
 def _compare(reading):
-    """Compare a log with the robot description and return the findings."""
+    """Return findings by the robot description, and the corrected log or None."""
     # Positions in counts or torques without signs allow no further test.
     for hypothesis, match in _probable(reading, "first"):
-        return [hypothesis.finding(reading, *match)]
+        return [hypothesis.finding(reading, *match)], None
     if reading.is_uninformative():
-        return implausible_speed(reading) + _unverified(reading)
+        return implausible_speed(reading) + _unverified(reading), None
     findings, reading = _apply_hypotheses(reading)
     if reading is None:
-        return findings
+        return findings, None
     findings = findings or implausible_speed(reading)
     grave = any(x.severity == "error" for x in findings)
     matches = [] if grave else _probable(reading, "last")
     matches = matches or ([] if findings else _probable(reading, "nothing else"))
     findings += [x.finding(reading, *y) for x, y in matches]
-    return findings + _unverified(reading)
+    return findings + _unverified(reading), reading
+
+
+def _compare_parts(reading, jumps, place):
+    """Return findings of a log, or of its parts if only these explain the torques."""
+    # jumps: rows at which positions jump and parts begin, by default one row.
+    findings, after = _compare(reading)
+    if after is None or not after.poor:
+        return findings
+    starts = [0]
+    for k in sorted(jumps) or [_row_of_change(reading)]:
+        # Joints jump together, or one after the other.
+        starts += [k] * (k - starts[-1] >= number.MIN_SAMPLES)
+    starts.append(len(reading.q))
+    parts = [slice(*ends) for ends in pairwise(starts)]
+    split = replace(reading, parts=parts, recordings=len(parts) * reading.recordings)
+    each = (split.select_parts([k], alone=True) for k in range(len(parts)))
+    compared = [_compare(part) for part in each]
+    wrong = [[x for x in found if x.kind != "unverified"] for found, _ in compared]
+    # All must fit far better than the whole log, and those without a fault well.
+    explains, loss = any(wrong) and not all(wrong), after.robot.baseline.loss.mean()
+    for faulty, (_, part) in zip(wrong, compared):
+        left = part.robot.baseline.loss if part else np.full(1, np.inf)
+        explains &= bool(left.mean() < loss - number.CLEAR or (faulty and not part))
+        explains &= bool(faulty or left.max() < 2 * np.log(number.WORST))
+    if not explains:
+        return findings
+    names = [f"Up to about {place(starts[1])}"]
+    names += [f"From about {place(k)} on" for k in starts[1:-1]]
+    return [_of_part(x, name) for xs, name in zip(wrong, names) for x in xs]
+
+
+def _row_of_change(reading):
+    """Return the row from which on other parameters explain the torques best."""
+    rows, best = reading.signals.row, 0
+    step = n = rows.size
+
+    def gain(k):
+        whole, (_, before), (_, after) = reading.robot.losses(np.arange(n) < k)
+        return (n * whole - k * before - (n - k) * after).sum()
+
+    while step > 1:
+        step = max(1, step // 8)
+        tested = range(max(0, best - 8 * step), min(n, best + 8 * step), step)
+        best = max(tested, key=gain)
+    return int(rows[best])
+
+
+def _of_part(finding, name):
+    """Return a finding on a part of the log or on one of its recordings."""
+    # A fit may correct a fault of the whole log, but not one of a part.
+    severity = "error" if finding.severity == "error" else "warning"
+    message = f"{name}: {finding.message}"
+    return replace(finding, severity=severity, message=message, remedy={})
 
 
 def _compare_recordings(reading):
@@ -300,20 +357,17 @@ def _compare_recordings(reading):
     if outliers:
         rest = reading.robot.signals.select_rows(np.isin(labels, others))
         others = others if rest.informative().any() else []
-    alone = {k: _compare(reading.select_parts([k], alone=True)) for k in outliers}
+    alone = {k: _compare(reading.select_parts([k], alone=True))[0] for k in outliers}
     pairs = [(k, x) for k, xs in alone.items() for x in xs if x.kind != "unverified"]
     lags = [x for x in pairs if x[1].severity == "note" and _is_common(reading, *x)]
     pairs = [pair for pair in pairs if pair not in lags]
     all_wrong = not others and len({k for k, _ in pairs}) == len(outliers)
     if not outliers or all_wrong or (lags and not pairs):
-        return _compare(reading)
-    common = _compare(reading.select_parts(others)) if others else _unverified(reading)
-    # A fit may correct a fault of all recordings, but not one of a single recording.
-    for k, x in pairs:
-        severity = "error" if x.severity == "error" else "warning"
-        message = f"Recording {reading.recordings[k]} alone: {x.message}"
-        common.append(replace(x, severity=severity, message=message, remedy={}))
-    return common
+        return _compare(reading)[0]
+    rest = reading.select_parts(others) if others else None
+    names = [f"Recording {x} alone" for x in reading.recordings]
+    found = _compare(rest)[0] if others else _unverified(reading)
+    return found + [_of_part(x, names[k]) for k, x in pairs]
 
 
 def _is_common(reading, k, late):

@@ -243,21 +243,26 @@ class DescribedRobot:
 
     def deviates(self, part):
         """Whether some rows fit far worse than the others, or with other masses."""
-        few = number.FEWEST_ROWS
-        moves, others = (self.signals.weight[x].sum(axis=0) for x in (part, ~part))
-        joints = [j for j in self.joints if min(moves[j], others[j]) > few]
-        if not joints:
+        whole, (share, size), (usual, other) = self.losses(part)
+        if not whole.size:
             # Next to positions in degrees, those in radians appear to be at rest.
-            return bool((moves > few).any())
+            moves = self.signals.weight[part].sum(axis=0)
+            return bool((moves > number.FEWEST_ROWS).any())
+        worse = (share - usual)[share > 2 * np.log(number.GOOD_FIT)]
+        apart = np.logaddexp(np.log(part.mean()) + size, np.log((~part).mean()) + other)
+        return bool(np.r_[whole - apart, worse - number.CLEAR].max() > number.CLEAR)
+
+    def losses(self, part):
+        """Return logs of variances left (k,), and of shares and these by two parts."""
+        moves = np.array([self.signals.weight[x].sum(axis=0) for x in (part, ~part)])
+        joints = self.joints[moves.min(axis=0)[self.joints] > number.FEWEST_ROWS]
+        if not joints.size:
+            return np.zeros(0), *np.zeros((2, 2, 0))
         pairs = (
             (self.signals.select_rows(x), self.regressor[x]) for x in (part, ~part)
         )
         fits = (DescribedRobot(self.bodies, x, self.times, y) for x, y in pairs)
-        (share, size), (usual, other) = (fit._loss(joints) for fit in fits)
-        worse = (share - usual)[share > 2 * np.log(number.GOOD_FIT)]
-        apart = np.logaddexp(np.log(part.mean()) + size, np.log((~part).mean()) + other)
-        improvement = self._loss(joints)[1] - apart
-        return bool(np.r_[improvement, worse - number.CLEAR].max() > number.CLEAR)
+        return self._loss(joints)[1], *(fit._loss(joints) for fit in fits)
 
     def _loss(self, joints):
         """Return logs of the unexplained share and variance (k,) of joints' torques."""

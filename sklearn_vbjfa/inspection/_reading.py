@@ -14,8 +14,6 @@ from sklearn_vbjfa.inspection._likelihood import Bodies, DescribedRobot, under_g
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import contiguous_groups
 
-# -- changes ---------------------------------------------------------------------------
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Change:
@@ -91,9 +89,6 @@ def times(nv, value, joints=None):
     factors = np.ones(nv)
     factors[slice(None) if joints is None else np.array(joints, dtype=int)] = value
     return np.diag(factors)
-
-
-# -- signals ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -198,9 +193,6 @@ def _cutoffs(q, dt, parts):
     cutoff = max(number.CUTOFF_PER_BANDWIDTH * bandwidth, lowest)
     top = np.clip(top.max(), number.SMOOTH * bandwidth, 2 * cutoff)
     return float(cutoff), float(max(top, lowest))
-
-
-# -- readings --------------------------------------------------------------------------
 
 
 @dataclass(eq=False)
@@ -350,9 +342,6 @@ def _loss(robot, signals, joints, tau):
     # Deviations of both factors from one count as errors.
     residual += (theta[:, :2, 0] ** 2 * penalty[:, :2]).sum(axis=1)
     return np.log(np.maximum(residual / np.maximum(total, 1e-300), 1e-12))
-
-
-# -- the search for a change -----------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)

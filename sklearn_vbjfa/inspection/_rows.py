@@ -35,6 +35,7 @@ class Rows:
         self.counted = np.ones(len(q), dtype=bool)  # rows with nonzero weight
         self.held = np.zeros(q.shape[1], dtype=bool)  # torques updated at a lower rate
         self.every = 1  # rows per update of all positions
+        self.jumps = []  # rows at which positions jump and do not return
 
     @functools.cached_property
     def still(self):
@@ -502,12 +503,15 @@ def _check_positions(log):
     for j in np.flatnonzero(~log.still):
         if stands is not None:
             log.usable[_find_stuck(log, j, stands)] = False
-        jumps = [k for k in _find_jumps(log.q[:, j], log.parts) if log.usable[k].any()]
+        every = _find_jumps(log.q[:, j], log.parts)
+        jumps = [k for k in every if log.usable[k].any()]
         log.findings += _jump_findings(log.names, j, log.q[:, j], jumps, log.place)
         log.usable[_mask(log.q, [(max(k - 2, 0), k + 1) for k in jumps])] = False
         log.q = log.q.copy() if jumps else log.q
-        for first, last, back in _jumps_together(log.q[:, j], jumps):
-            if back:
+        for first, last, back in _jumps_together(log.q[:, j], every):
+            if not back:
+                log.jumps.append(first)
+            elif first in jumps:
                 wrong, ends = np.arange(first, last), [first - 1, last]
                 log.q[wrong, j] = np.interp(wrong, ends, log.q[ends, j])
 

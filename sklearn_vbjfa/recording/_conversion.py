@@ -107,9 +107,6 @@ def _try_columns(table, options, columns, **more):
     return {"columns": columns, **more}
 
 
-# -- the nearest names -----------------------------------------------------------------
-
-
 def _near_patterns(table, kind, joints):
     """Return patterns of columns that may be a channel, complete ones if there are."""
     if kind == "t":
@@ -314,9 +311,6 @@ def read_rows(table, options) -> FileRows:
     )
 
 
-# -- numbers and units -----------------------------------------------------------------
-
-
 def _convert_units(table, by_kind, options, notes):
     """Convert channels to the package's units; also return their base units."""
     for kind, measured in MEASURED.items():
@@ -417,9 +411,6 @@ def _check_units(table, roles, units, names, robot):
                     f"{bases[slides]}. Correct the unit, or the order of the joints."
                 )
     return prismatic
-
-
-# -- other columns ---------------------------------------------------------------------
 
 
 def _signals(table, layout, time, notes):

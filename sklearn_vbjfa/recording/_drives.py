@@ -257,8 +257,6 @@ class PDDrive(Drive):
         share = (np.abs(recording.tau) >= limits).mean(axis=0)
         return {"delay": self.known_delay, "saturated": share.tolist()}
 
-    # -- in simulation -----------------------------------------------------------------
-
     def updates_per_sample(self, dt):
         """Return the number of control periods in a sample period."""
         if self.period is None:

@@ -349,9 +349,6 @@ def _apply_drive(recording, drive, files):
         raise ValueError(f"{_shorten(x.path for x in files)}: {error}") from error
 
 
-# -- files and folders -----------------------------------------------------------------
-
-
 def _read_tables(path, options, notes):
     """Read the table of a file, or the tables of a folder that contain numbers."""
     files = tables_in(path)
@@ -408,9 +405,6 @@ def _file_versions(path):
     files = [path] if path.is_file() else path.rglob("*") if path.is_dir() else []
     stats = [file.stat() for file in files if file.is_file()]
     return sorted((stat.st_size, stat.st_mtime_ns) for stat in stats)
-
-
-# -- several files of one robot --------------------------------------------------------
 
 
 def common_folder(paths):

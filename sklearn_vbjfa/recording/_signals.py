@@ -70,9 +70,6 @@ def listed_joints(names, joints):
     return ", ".join(names[j] for j in joints)
 
 
-# -- choice of signals -----------------------------------------------------------------
-
-
 class OfferedSignals(dict):
     """Further columns of a recording by name, which were not requested as signals."""
 
@@ -204,9 +201,6 @@ def scan_signals(signals, offered, recording, effects):
     details = "; ".join(f"{name!r} {reasons[name]}" for name in shown)
     message = f"Column(s) {names} are not used as signals: {details}."
     return used, (ChannelFinding("unusable_signal", (), "note", message),)
-
-
-# -- unsuitable signals ----------------------------------------------------------------
 
 
 def fault(values, recording, share=_COPY):

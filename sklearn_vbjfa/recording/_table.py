@@ -119,9 +119,6 @@ class Table:
         return self.place.format(self.frame.index[row])
 
 
-# -- damaged, large or empty files, and missing packages -------------------------------
-
-
 @contextlib.contextmanager
 def parsing(path, what, remedy):
     """Convert any exception of a parser on a damaged file to one clear ValueError."""
@@ -172,9 +169,6 @@ def imported(path, module):
             f"{path}: reading it needs {package}: pip install "
             f'"sklearn-vbjfa[{_CONFIG["extras"][package]}]"'
         ) from error
-
-
-# -- contents of files in messages -----------------------------------------------------
 
 
 def quoted(value):
@@ -254,9 +248,6 @@ def split_unit(name: str) -> tuple[str, str]:
     return match[1], unit
 
 
-# -- units of time ---------------------------------------------------------------------
-
-
 def usual_step(t):
     """Return the median of the positive steps of a clock, 0 if there is none."""
     # Sort first, since rows may be out of order.
@@ -270,8 +261,6 @@ def unit_of_steps(step):
     units = (x for x, size in TIME_UNITS.items() if _FASTEST < step * size < SLOWEST)
     return next(units, "")
 
-
-# -- words -----------------------------------------------------------------------------
 
 COMMAND_NAMES = {kind: words.split() for kind, words in _CONFIG["commands"].items()}
 _KIND_OF = {word: x for x, words in _CONFIG["words"].items() for word in words.split()}

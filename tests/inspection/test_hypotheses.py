@@ -89,6 +89,10 @@ FAULTS = {
     "backwards": ("driving_friction", None, lambda q, y, w: (q[::-1], y[::-1])),
     "blocks": ("shuffled_rows position_jumps", (0,), lambda q, y, w: (
         q.reshape(40, -1, 6)[::-1].reshape(-1, 6), y)),
+    "two zeros": ("position_zero", (1, 4), lambda q, y, w: (
+        q + np.isin(np.arange(6), [1, 4]) * np.pi / 2, y)),
+    "scaled copy": ("copied_torque", (1, 4), lambda q, y, w: (
+        q, replaced(y, EVERY, 4, 3.0 - 2.5 * y[:, 1]))),
     "filled gap": ("interpolated_rows", None, lambda q, y, w: (filled(q), filled(y))),
     "wrong positions": ("", None, lambda q, y, w: (
         replaced(q, WRONG, 2, q[WRONG, 2] + 0.3 * np.cos(WRONG)), y)),
@@ -98,6 +102,12 @@ FAULTS = {
         replaced(q, slice(100), EVERY, 0.0), replaced(y, slice(100), EVERY, 0.0))),
     "drives off": ("empty_rows", None, lambda q, y, w: (
         replaced(q, HALF, EVERY, q[2000]), replaced(y, HALF, EVERY, 1e-3 * y[HALF]))),
+    "half of the rate": ("wrong_dt", None, lambda q, y, w: (
+        *(x[np.r_[:2000, 2000:4000:2]] for x in (q, y)),)),
+    "a sign from a row on": ("torque_sign", (1,), lambda q, y, w: (
+        q, replaced(y, HALF, 1, -y[HALF, 1]))),
+    "degrees from a row on": ("position_degrees", None, lambda q, y, w: (
+        replaced(q, HALF, EVERY, np.rad2deg(q[HALF])), y)),
     "two sources": ("empty_rows", None, lambda q, y, w: (
         q, replaced(y, slice(None, None, 3), EVERY, 0.0))),
 }  # fmt: skip
@@ -112,6 +122,9 @@ def test_a_single_fault_is_the_only_finding(log, name):
     assert kinds == expected.split()
     if joints is not None:
         assert findings[0].joints == joints
+    if " row on" in name:
+        begins = re.match(r"From about row (\d+) on: ", findings[0].message)[1]
+        assert abs(int(begins) - 2000) < 100
 
 
 @pytest.mark.parametrize("factor", one_in(2, [10.197, 8.8507, 1e-3, 4.0, 0.2]))
@@ -308,15 +321,6 @@ def test_an_encoder_that_fails_at_standstill(log):
     assert found[0].joints == (3,)
 
 
-@pytest.mark.parametrize(("factor", "shift"), [(-2.5, 3.0), (1.0, 0.0)])
-def test_a_torque_column_that_is_a_scaled_copy(log, factor, shift):
-    tau = log[0].tau.copy()
-    tau[:, 4] = factor * tau[:, 1] + shift
-    kinds, found = faults_of(log, tau=tau)
-    assert kinds[0] == "copied_torque"
-    assert found[0].joints == (1, 4)
-
-
 @pytest.mark.parametrize("torques", [False, True])
 def test_coupled_axes(log, torques):
     """The third encoder measures the sum of two joints; its motor acts on both."""
@@ -479,14 +483,6 @@ def test_two_clocks_of_different_speed(log):
     assert kinds == ["delay"]
     assert "fast" in found[0].message
     assert found[0].value == pytest.approx(0.003, rel=0.3)
-
-
-def test_two_zeros_are_off(log):
-    q = log[0].q.copy()
-    q[:, [1, 4]] += np.pi / 2
-    kinds, found = faults_of(log, q=q)
-    assert set(kinds) == {"position_zero"}
-    assert {j for one in found if one.severity != "note" for j in one.joints} == {1, 4}
 
 
 @pytest.mark.parametrize("power", [0, -1])

@@ -203,6 +203,9 @@ def _sort_roles(table, layout, options, robot, notes):
         if kind == "supply" and len(roles) == 1:
             # One supply voltage feeds all joints.
             keys = count * [*roles]
+        if kind in ("v", "a") and not {*keys} <= {*roles}:
+            notes.append(f"column(s) {kind} of some joints only are left out.")
+            continue
         for key in keys:
             if key not in roles:
                 raise ValueError(

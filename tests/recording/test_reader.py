@@ -358,6 +358,14 @@ def test_rows_with_missing_numbers_are_skipped(csv, nothing, stamped):
         read_recording(csv(columns), dt=DT)
 
 
+def test_velocities_of_some_joints_are_left_out(csv):
+    columns = table(n=300)
+    drop("v1")(columns)
+    recording, notes = read(csv(columns))
+    assert (recording.v, len(notes)) == (None, 1)
+    assert "column(s) v of some joints only are left out" in notes[0]
+
+
 def test_rows_of_a_second_source_without_torques_are_skipped(csv):
     columns = table(n=300)
     second = slice(2, None, 3)

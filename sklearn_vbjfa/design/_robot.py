@@ -96,7 +96,7 @@ class KnownRobot:
         residual = np.full(nv, np.nan) if residual is None else residual
         return cls(
             features=RigidBodyFeatures(full.model_, friction=()).load(),
-            inertial=robot.inertial(),
+            inertial=robot.bodies(robot.theta_)[:, :10],
             effects=tuple(effects),
             coefficients=tuple(coefficients),
             joint_names=robot.joint_names_,

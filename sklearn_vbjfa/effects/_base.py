@@ -132,6 +132,7 @@ class Effect(TransformerMixin, BaseEstimator):
     files = InFiles()
     alike = False
     simple = False  # whether a search prefers this shape to others that do as well
+    loads = False  # whether its torque is part of the load, as that of a body
 
     def __init_subclass__(cls, **kwargs):
         super().__init_subclass__(**kwargs)

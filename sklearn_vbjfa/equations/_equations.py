@@ -16,6 +16,7 @@ from sklearn_vbjfa.effects import (
     declared_columns,
     earlier_reversals,
 )
+from sklearn_vbjfa.equations._features import body_torques
 from sklearn_vbjfa.equations._joint_moments import (
     BlockAssignment,
     MomentSums,
@@ -87,24 +88,26 @@ def make_motion(
     before=None,
 ):
     """Build the `Motion` that effects are computed from."""
-    # parts: slices of the segments; theta: parameters (p,) of the features (for the
-    # load), followed by `pick_load_free` (for the total torque); bandwidth: cut-off
+    # parts: slices of the segments; theta: parameters (p,) of the features, and then
+    # `pick_load_free` of the effects, beginning with followers; bandwidth: cut-off
     # of the low-pass [Hz]; rest: velocity signs at rest; since: first time of the fit
     # [s]; ranges: limits of the motion, see `Plan`; command, before: see `Recording`.
     nv = features.n_joints_
     load = torque = rigid = derivatives = None
     if theta is not None:
         theta, coefs = np.split(theta, [features.n_parameters_])
+        following, coefs = np.split(coefs, [10 * sum(x.loads for x in effects)])
         parameters = theta.reshape(nv, -1)
         inertial = np.ascontiguousarray(parameters[:, :10])
+        bodies = np.vstack([inertial, following.reshape(-1, 10)])
         q, v, a = np.split(states, 3, axis=1)
-        load = features.torques(q, v, a, inertial)
+        rigid = functools.partial(body_torques, features, effects, bodies)
+        load = rigid(q, v, a)
         friction = declared_columns(features.friction_, v, a, rest)
         torque = load + np.einsum("njk,jk->nj", friction, parameters[:, 10:])
 
         arguments = q, v, a, inertial, features.nominal_
         derivatives = TorqueDerivatives(features.model_, *arguments)
-        rigid = functools.partial(features.torques, inertial=inertial)
 
     motion = Motion(
         q=states[:, :nv],
@@ -131,7 +134,7 @@ def make_motion(
     if torque is not None and coefs.size:
         # `torque` is the array of the motion, changed in place.
         for effect, clipped in zip(effects, clipped_motions(effects, ranges, motion)):
-            if is_load_free(effect):
+            if is_load_free(effect) and not effect.loads:
                 coefficients, coefs = np.split(coefs, [len(effect.coefficients)])
                 cols = slice(None) if isinstance(effect, OnAllJoints) else effect.joint
                 torque[:, cols] += effect.columns(clipped) @ coefficients

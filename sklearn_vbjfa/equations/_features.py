@@ -10,6 +10,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from sklearn_vbjfa.effects import (
     InFiles,
     InModel,
+    Motion,
     OnAllJoints,
     check_declared,
     declared,
@@ -45,6 +46,7 @@ class Follower(OnAllJoints):
     formula = r"A^{\mathsf T}\Phi_f(Aq + b, A\dot q, A\ddot q)\,\pi_f"
     coefficients = INERTIAL_NAMES
     units = (_MASS,) + (_MOMENT,) * 3 + (_INERTIA,) * 6
+    loads = True
     files = InFiles(urdf="", mjcf="")
 
     def __init__(self, joint=0, of="", chain=(), gravity=(0.0, 0.0, -9.81)):
@@ -87,11 +89,11 @@ class Follower(OnAllJoints):
             out[:, joint] += factor * body
         return out
 
+    def bodies(self, coef):
+        """Bodies (n, 10) of its tree; only the last one has mass."""
+        return np.vstack([np.zeros((len(self.chain) - 1, len(coef))), coef])
+
     def simulated(self, table, *coef):
-        bodies = np.zeros((len(self.chain), len(coef)))
-        bodies[-1] = coef
-        table.trees.append(self.tree())
-        table.following.append(bodies)
         return True
 
 
@@ -404,23 +406,26 @@ def with_followers(effects, features):
     return (*followers, *declared)
 
 
+def body_torques(features, effects, bodies, q, v, a):
+    """Torques (n, nv) of bodies (n_bodies, 10) of joints, then of `Follower`s."""
+    torques = features.torques(q, v, a, bodies[: features.n_joints_])
+    motion, followers = Motion(q=q, v=v, a=a), [x for x in effects if x.loads]
+    for effect, body in zip(followers, bodies[features.n_joints_ :]):
+        torques += effect.columns(motion) @ body
+    return torques
+
+
 def follower_parameters(effects, coefficients):
     """Return the inertial parameters (10,) of followers, by the joints' names."""
     # effects, coefficients: all effects of a robot with their estimated coefficients.
-    return {
-        effect.of: np.asarray(values)
-        for effect, values in zip(effects, coefficients)
-        if isinstance(effect, Follower)
-    }
+    pairs = zip(effects, coefficients)
+    return {effect.of: np.asarray(values) for effect, values in pairs if effect.loads}
 
 
-def following_joints(effects, coefficients, names):
-    """Return the followers for an MJCF file, a tuple of `FollowingJoint`."""
-    # effects, coefficients: all effects of a robot with their estimated coefficients;
-    # names: joints of the robot.
-    followers = [
-        pair for pair in zip(effects, coefficients) if isinstance(pair[0], Follower)
-    ]
+def following_joints(robot):
+    """Return the followers of a `TorqueModel` for MJCF, a tuple of `FollowingJoint`."""
+    pairs = zip(robot.effects, robot.coefficients)
+    followers = [pair for pair in pairs if pair[0].loads]
     # Carriers before the bodies they carry: their chain to the base is shorter.
     followers.sort(key=lambda pair: len(pair[0].chain))
     carriers = {tuple(effect.chain): effect.of for effect, _ in followers}
@@ -429,12 +434,8 @@ def following_joints(effects, coefficients, names):
         *above, last = (ChainJoint(*row) for row in effect.chain)
         carrier = carriers.get(tuple(effect.chain[:-1]))
         if carrier is None and above:
-            carrier = names[above[-1].joint]
-        joints.append(
-            FollowingJoint(
-                name=effect.of, carrier=carrier, link=last, body=np.asarray(body)
-            )
-        )
+            carrier = robot.joint_names[above[-1].joint]
+        joints.append(FollowingJoint(effect.of, carrier, last, np.asarray(body)))
     return tuple(joints)
 
 

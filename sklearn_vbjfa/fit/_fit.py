@@ -1,6 +1,5 @@
 """Fit the parameters of a robot to a recording."""
 
-import functools
 import warnings
 from dataclasses import dataclass, field, replace
 
@@ -170,9 +169,8 @@ class RobotFit:
         robot = self.robot
         if not robot.effects_:
             return self
-        inertial = robot.inertial()
-        torques = functools.partial(robot.features_.torques, inertial=inertial)
-        load = sum_ranges([x.loads(robot.plan.lowpass, torques) for x in self.segments])
+        pieces = (x.loads(robot.plan.lowpass, robot.rigid) for x in self.segments)
+        load = sum_ranges(list(pieces))
         motion, friction = self.estimate.moments.ranges, robot.features_.friction_
         ranges = effect_ranges(friction, robot.effects_, motion, load)
         return replace(self, robot=replace(robot, effect_ranges_=ranges))
@@ -260,7 +258,7 @@ def _with_load_uncertainty(result, robot):
         return result
     C, ratio = uninflated_covariance(result)
     theta, slope, nv = result.theta, np.eye(len(C)), robot.features_.n_joints_
-    at, load = body_indices(robot)[:nv].ravel(), np.zeros(len(C))
+    at, load = body_indices(robot).ravel(), np.zeros(len(C))
     load[at] = theta[at]
     products = result.moments.products(load)
     for effect, places in effect_indices(robot.effects_, robot.features_.n_parameters_):
@@ -776,15 +774,15 @@ def _joint_dynamics(robot, source):
     """Return friction (nv,) by name, and inertia (nv,) with all other joints free."""
     # The inertia is the mean over poses. The mass matrix comes from inverse dynamics,
     # since fitted bodies need not be physically consistent.
-    nv, features = source.recording.nv, robot.features_
+    nv = source.recording.nv
     terms = dict.fromkeys(("coulomb", "viscous", "rotor_inertia"), np.zeros(nv))
-    terms |= dict(zip(features.friction_, robot.bodies(robot.theta_)[:, 10:].T))
+    terms |= dict(zip(robot.features_.friction_, robot.bodies(robot.theta_)[:, 10:].T))
     rotors = np.diag(np.maximum(terms["rotor_inertia"], 0.0))
     a, inertias = np.vstack([np.zeros(nv), np.eye(nv)]), []
     for states in source.states.full:
         for i in np.unique(np.linspace(0, states.shape[0] - 1, _N_POSES).astype(int)):
             q = np.tile(states[slice(i, i + 1)].reshape(-1)[:nv], (nv + 1, 1))
-            at_rest, *columns = features.torques(q, 0.0 * a, a, robot.inertial())
+            at_rest, *columns = robot.rigid(q, 0.0 * a, a)
             mass_matrix = np.array(columns) - at_rest + rotors
             inertias.append(1.0 / np.diagonal(np.linalg.pinv(mass_matrix)))
     return terms, np.mean(inertias, axis=0)

@@ -33,8 +33,8 @@ def with_signs(recipe, robot, source, previous):
     if doubtful.any() and not doubtful.all():
         # The joints that carry them determine the bodies of uncertain joints.
         base_weight = np.ones(sizes.shape) if weight is None else weight
-        bodies = fitted(tau, np.where(doubtful, 0.0, base_weight)).inertial()
-        refined, _ = _initial_signs(robot.features_, source, bodies)
+        base = fitted(tau, np.where(doubtful, 0.0, base_weight)).torque_model()
+        refined, _ = _initial_signs(robot.features_, source, base.bodies)
         tau = np.where(doubtful, refined, tau)
     for _ in range(_MAX_PASSES):
         updated = signed(fitted(tau), recording).tau

@@ -38,7 +38,7 @@ _FRICTION = "0.9999 0.9999 0.001 0.5 2"
 UNLIMITED = 1e6
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class FollowingJoint:
     """A joint without motor that follows another joint, and its body."""
 

@@ -53,9 +53,7 @@ def to_mjcf(path, robot, min_eigenvalues, notes=(), servo=None, added=None):
         dynamics,
         dt=robot.dt,
         note=_note(lines, account.left),
-        followers=following_joints(
-            robot.effects, robot.coefficients, robot.joint_names
-        ),
+        followers=following_joints(robot),
         servo=servo,
     )
     return tuple(account.left)

@@ -9,7 +9,6 @@ from scipy.special import log_ndtr, logsumexp
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.effects import POSITION, SPEED, TORQUE, InModel, declared
-from sklearn_vbjfa.equations._features import Follower
 from sklearn_vbjfa.equations._plan import effect_indices
 from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.physical import (
@@ -221,7 +220,7 @@ def body_indices(robot):
     features = robot.features_
     n, nv = features.n_parameters_, features.n_joints_
     starts = np.arange(nv) * (n // nv)
-    mask = effect_mask(robot, lambda effect: isinstance(effect, Follower))
+    mask = effect_mask(robot, lambda effect: effect.loads)
     following = np.flatnonzero(mask).reshape(-1, 10)
     return np.vstack([starts[:, None] + np.arange(10), following])
 

@@ -15,11 +15,10 @@ from sklearn_vbjfa.equations._equations import (
     edge_rows,
     equations,
     is_load_free,
-    make_motion,
     pick_load_free,
     regressor_rows,
 )
-from sklearn_vbjfa.equations._features import Follower, RigidBodyFeatures
+from sklearn_vbjfa.equations._features import RigidBodyFeatures, body_torques
 from sklearn_vbjfa.equations._plan import (
     Plan,
     check_length,
@@ -31,6 +30,7 @@ from sklearn_vbjfa.equations._plan import (
 from sklearn_vbjfa.equations._ranges import EffectRange, outside
 from sklearn_vbjfa.equations._states import RecordingStates, fit_states, limit_cutoffs
 from sklearn_vbjfa.equations._torque_noise import ROWS, noise_facts, stopband_exists
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.model._mjcf import Servo
 from sklearn_vbjfa.model._trees import is_prismatic
@@ -57,6 +57,7 @@ from sklearn_vbjfa.robot._exports import (
 from sklearn_vbjfa.robot._posterior import (
     BetweenRecordings,
     Posterior,
+    body_indices,
     min_eigenvalues,
     model_parameter_mask,
     note_of_masses,
@@ -476,12 +477,7 @@ class IdentifiedRobot:
             )
         rows = np.atleast_2d(q)
         still = np.zeros_like(rows)
-        torque = self.features_.torques(rows, still, still, self.inertial())
-        states = np.hstack([rows, still, still])
-        for effect, coef in zip(self.effects_, self.split(self.theta_)):
-            if isinstance(effect, Follower):
-                motion = make_motion(self.features_, states, None, [slice(None)])
-                torque = torque + effect.columns(motion) @ coef
+        torque = self.rigid(rows, still, still)
         return (torque * self.features_.gains_).reshape(q.shape)
 
     def to_pinocchio(self):
@@ -502,9 +498,12 @@ class IdentifiedRobot:
 
         Notes
         -----
-        Joints of the description that follow others (``mimic``) carry no bodies.
-        Offsets, springs and further effects have no place in the model.
+        Offsets, springs and further effects have no place in the model, nor have bodies
+        of joints that follow others (``mimic``), which a `DoubtWarning` names.
         """
+        if lost := ", ".join(e.of for e in self.effects_ if e.loads):
+            message = f"The Pinocchio model lacks the bodies of {lost}: use to_mjcf."
+            warnings.warn(message, DoubtWarning, stacklevel=2)
         return as_pinocchio(self.torque_model())
 
     def save(self, path):
@@ -731,9 +730,10 @@ class IdentifiedRobot:
         rigid = parameters[: self.features_.n_parameters_]
         return rigid.reshape(self.features_.n_joints_, -1)
 
-    def inertial(self):
-        """Inertial parameters (nv, 10)."""
-        return np.ascontiguousarray(self.bodies(self.theta_)[:, :10])
+    def rigid(self, q, v, a):
+        """Torques (n, nv) of all bodies, without friction and rotors."""
+        bodies = self.theta_[body_indices(self)]
+        return body_torques(self.features_, self.effects_, bodies, q, v, a)
 
     # -- inputs ---------------------------------------------------------------------
 
@@ -836,7 +836,7 @@ class IdentifiedRobot:
         q, v, a = np.split(inputs.states, 3, axis=1)
         signals = {"position": q, "speed": np.abs(v), "direction": np.sign(v)}
         if any(name == "load" for name, _ in wanted):
-            signals["load"] = self.features_.torques(q, v, a, self.inertial())
+            signals["load"] = self.rigid(q, v, a)
         valid = inputs.counts(self.plan.standstill)
         values = {(k, j): signals[k][valid[k][:, j], j] for k, j in wanted}
         held = [x is not None for x in self.held]

@@ -20,6 +20,13 @@ class StateSolution(NamedTuple):
     by_velocity: np.ndarray
 
 
+def _all_bodies(robot, parameters):
+    """Bodies (n, 10) of all joints of a `TorqueModel`, by its parameters or `Load`."""
+    pairs = zip(robot.effects, parameters.coefficients)
+    rows = [effect.bodies(coef) for effect, coef in pairs if effect.loads]
+    return np.vstack([parameters.bodies, *rows])
+
+
 class ForwardDynamics:
     """Accelerations of a `TorqueModel`, with its friction, one state at a time."""
 
@@ -35,17 +42,17 @@ class ForwardDynamics:
         self._signals = signals
         self.terms = terms = TermTable(robot)
         self.n_joints = robot.n_joints
-        self._tree = concatenate_trees([describe(robot.model), *terms.trees])
-        bodies, self._timed_bodies = robot.bodies.copy(), []
+        followers = (effect.tree() for effect in robot.effects if effect.loads)
+        self._tree = concatenate_trees([describe(robot.model), *followers])
+        bodies, self._timed_bodies = _all_bodies(robot, robot), []
         for instant, joint, change in [(-np.inf, 0, 0.0), *terms.payloads]:
             bodies[joint] += change
             # Rejects bodies without mass.
-            with_bodies(robot.model, bodies)
-            self._timed_bodies.append((instant, np.vstack([bodies, *terms.following])))
+            with_bodies(robot.model, bodies[: self.n_joints])
+            self._timed_bodies.append((instant, bodies.copy()))
         # Times [s] at which the bodies change.
         self.instants = tuple(instant for instant, _ in self._timed_bodies[1:])
-        self._load_bodies = np.zeros_like(self._timed_bodies[0][1])
-        self._load_bodies[: self.n_joints] = (robot.load or robot).bodies
+        self._load_bodies = _all_bodies(robot, robot.load or robot)
         self.set_bodies(-np.inf)
         self._loads = terms.of_load
         self.compiled = _compiled

@@ -277,17 +277,19 @@ def _clip_signal(columns, name, j, low, high):
 class _Term:
     """An effect with its coefficients, and those of the `Load`."""
 
-    __slots__ = ("_coefs", "_columns", "_everywhere", "_joint", "_load_coefs")
+    __slots__ = ("_coefs", "_columns", "_everywhere", "_joint", "_load_coefs", "_loads")
 
     def __init__(self, columns, effect, coefs, load_coefs):
         self._columns, self._joint = columns, effect.joint
         self._everywhere = isinstance(effect, OnAllJoints)
         self._coefs, self._load_coefs = coefs, load_coefs
+        self._loads = effect.loads
 
     def add(self, row, torque, total):
         """Add the effect to a torque, and to the torque of the load fit unless None."""
-        columns = self._columns(row)
-        for out, coefs in ((torque, self._coefs), (total, self._load_coefs)):
+        columns, load = self._columns(row), row.load if self._loads else None
+        pairs = (torque, self._coefs), (total, self._load_coefs)
+        for out, coefs in (*pairs, (load, self._load_coefs)):
             if out is not None and self._everywhere:
                 for j, value in enumerate((np.asarray(columns) @ coefs).tolist()):
                     out[j] += value

@@ -67,9 +67,8 @@ class TermTable:
 
     # viscous, constant, dry, load_dry, armature (nv,): coefficients outside the table,
     # load_dry per load; inertia, coupling (nv, nv): see `TermArrays`; payloads:
-    # instants [s], joints, changes of their bodies' parameters (10,); trees, following:
-    # joints and bodies that follow others; since: first time of the fit [s]; left_out:
-    # effects that are not simulated, with reasons.
+    # instants [s], joints, changes of their bodies' parameters (10,); since: first time
+    # of the fit [s]; left_out: effects that are not simulated, with reasons.
 
     def __init__(self, robot):
         nv = robot.n_joints
@@ -79,7 +78,7 @@ class TermTable:
         self.inertia, self.coupling = np.zeros((2, nv, nv))
         self._load_ends, self._ends = {}, _ENDLESS
         self._rows, self._levels, self.left_out = [], {}, []
-        self.payloads, self.trees, self.following = [], [], []
+        self.payloads = []
         declared = dict(zip(robot.friction_names, robot.friction.T))
         for name, add in (
             ("viscous", self.viscous),

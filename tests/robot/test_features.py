@@ -21,9 +21,8 @@ def assert_torques(Phi, theta, expected):
     # Sums of some hundred products: 1e-10 of the largest torque is far above their
     # rounding and far below any term that might be missing.
     tau = Phi.reshape(expected.shape[0], -1, theta.size) @ theta
-    np.testing.assert_allclose(
-        tau, expected, rtol=0, atol=1e-10 * np.abs(expected).max()
-    )
+    atol = 1e-10 * np.abs(expected).max()
+    np.testing.assert_allclose(tau, expected, rtol=0, atol=atol)
 
 
 @properties
@@ -48,12 +47,7 @@ def test_friction_columns(seed, friction):
     model, bodies = random_tree(rng, 4)
     states = states_of(rng, model)
     _, v, a = np.split(states, 3, axis=1)
-    signals = {
-        "viscous": v,
-        "coulomb": np.sign(v),
-        "offset": np.ones_like(v),
-        "rotor_inertia": a,
-    }
+    signals = dict(zip(ALL, (v, np.sign(v), np.ones_like(v), a)))
     coefficients = rng.normal(size=(4, len(friction)))
     expected = inverse_dynamics(model, states)
     for k, name in enumerate(friction):

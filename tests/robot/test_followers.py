@@ -4,9 +4,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.model import joint_names, load_folded
+from sklearn_vbjfa import RobotIdentifier, load_identified
+from sklearn_vbjfa.effects import LoadFriction
+from sklearn_vbjfa.model import DoubtWarning, joint_names, load_folded
 from sklearn_vbjfa.physical import min_eigenvalue
+from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
 from tests.effects import _arms
 from tests.model.test_followers import joint, link
 
@@ -74,9 +76,6 @@ def test_a_recording_needs_no_columns_of_a_follower(fitted, recorded, motion, pa
 
 
 def test_a_follower_has_ten_parameters_of_its_own(fitted, path):
-    names = [name for name in fitted.parameter_names_ if name.startswith("follow:")]
-    assert len(names) == 10
-    assert names[0] == "follow:m"
     at = fitted.parameter_names_.index("follow:m")
     assert fitted.parameter_units_[at] == "kg"
     body = fitted.theta_[at : at + 10]
@@ -94,13 +93,24 @@ def test_a_follower_has_ten_parameters_of_its_own(fitted, path):
     assert found == pytest.approx(true, rel=0.02)
 
 
-def test_a_simulation_moves_the_follower(fitted, motion):
-    tau, (q, v, _) = fitted.predict(np.hstack(motion[:, :100])), motion[:, :100]
-    states = fitted.simulate(tau, q[0], v[0])
-    # Forward dynamics invert the inverse ones, which are those of the full tree.
-    atol = 1e-9 * np.abs(tau).max()
-    np.testing.assert_allclose(fitted.predict(states), tau, rtol=0.0, atol=atol)
-    assert np.abs(states[:, :3] - q).max() < 1e-3
+def test_the_load_includes_the_follower(motion, path, tmp_path):
+    """Of friction that is fitted, saved, computed state by state and simulated."""
+    tau = torques(pin.buildModelFromUrdf(str(path)), *motion)
+    tau[:, 2] += 0.2 * np.abs(tau[:, 2]) * np.sign(motion[1, :, 2])
+    robot = RobotIdentifier(path, dt=DT, friction=(), effects=[LoadFriction(2)])
+    robot = robot.fit(X := np.hstack(motion), tau).robot_
+    assert robot.theta_[-1] == pytest.approx(0.2, rel=0.01)
+    robot.save(tmp_path / "robot.json")
+    with pytest.warns(DoubtWarning, match="lacks the bodies of follow: use"):
+        robot.to_pinocchio()
+    for one in (robot, load_identified(tmp_path / "robot.json")):
+        dynamics = ForwardDynamics(one.torque_model())
+        for row, tau in zip(X[::99], robot.predict(X[::99])):
+            q, v, a = np.split(row, 3)
+            np.testing.assert_allclose(one.step(q, v, a), tau, atol=1e-9)
+            for _ in range(9):
+                found = dynamics.accelerate(q, v, tau, np.sign(v), np.zeros(3, bool))
+            np.testing.assert_allclose(found, a, atol=1e-6)
 
 
 def test_a_written_mjcf_has_the_follower(fitted, motion, tmp_path):

@@ -14,13 +14,8 @@ def fitted(axes, noise=0.01, friction=(), bodies="free"):
     _, states = motion(model.nv, dt=0.01, seed=3)
     torque = inverse_dynamics(model, states)
     torque += noise * np.random.default_rng(0).normal(size=torque.shape)
-    robot = RobotIdentifier(
-        model,
-        dt=0.01,
-        friction=friction,
-        options=FitOptions(standstill=None),
-        bodies=bodies,
-    )
+    robot = RobotIdentifier(model, dt=0.01, friction=friction, bodies=bodies)
+    robot.set_params(options=FitOptions(standstill=None))
     return robot.fit(states, torque), states
 
 

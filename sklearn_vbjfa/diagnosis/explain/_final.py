@@ -72,7 +72,7 @@ class FinalFit:
         view = view.corrected(identifier.effects_)
         self.view = view.without([i for i in excluded if i < n])
         load = identifier.robot_.load_parameters
-        self.motion = view.motion_of(load, self.effects)
+        self.motion = view.motion_of(load, identifier.effects_)
         columns = [np.empty((*view.equations.tau.shape, 0))]
         columns += [self.in_equations(e) for e in self.effects]
         edges = itertools.pairwise(np.cumsum([x.shape[2] for x in columns]))

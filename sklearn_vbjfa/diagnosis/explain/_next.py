@@ -164,7 +164,7 @@ def motion_statistics(identifier, states, predicted, weight, spread):
     plain = features.declared(states) * theta[:, 10:]
     rotor = [name == RotorInertia.name for name in features.friction_]
     friction = plain[:, :, ~np.array(rotor, dtype=bool)].sum(axis=2)
-    load = features.torques(*np.split(states, 3, axis=1), theta[:, :10])
+    load = identifier.robot_.rigid(*np.split(states, 3, axis=1))
     load += plain[:, :, rotor].sum(axis=2)
     for effect in identifier.effects_:
         varies = isinstance(effect, Varied) and effect.of != "offset"

@@ -272,11 +272,13 @@ class RecordingView:
 
     def motion(self, theta, effects=(), coefs=()):
         """Return signals, with the load of reduced coordinates theta or none."""
-        # The load includes the torque of effects with their coefficients `coefs`.
-        rigid, parameters = self.robot.features_.n_parameters_, None
+        # The torque includes the robot's effects, and `effects` with their `coefs`.
+        effects, parameters = (*self.robot.effects_, *effects), None
         if theta is not None:
-            load_free = pick_load_free(effects, coefs)
-            parameters = np.concatenate([(self.back @ theta)[:rigid], load_free])
+            n = self.robot.features_.n_parameters_
+            rigid, declared = np.split(self.back @ theta, [n])
+            load_free = pick_load_free(effects, np.append(declared, coefs))
+            parameters = np.append(rigid, load_free)
         return self.motion_of(parameters, effects)
 
     def motion_of(self, parameters, effects=()):

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "_base": """
-        POSITION SPEED TORQUE Bank Converted Effect InFiles OfRobot OfSignals OfTime
-        OnAllJoints Shaped Stateful Sudden
+        INERTIA POSITION SPEED TORQUE Bank Converted Effect InFiles OfRobot OfSignals
+        OfTime OnAllJoints Shaped Stateful Sudden
     """,
     "_channels": "Delay Jerk OfChannel TorqueFilter low_pass smooth",
     "_drive": "Coupling CouplingSpring Elastic ToAnother",

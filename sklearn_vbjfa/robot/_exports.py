@@ -8,6 +8,8 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from sklearn_vbjfa.effects import (
+    INERTIA,
+    TORQUE,
     CommandDelay,
     CouplingSpring,
     Drift,
@@ -24,7 +26,7 @@ from sklearn_vbjfa.equations._plan import effect_indices
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._dynamics import CorrectedModel
 from sklearn_vbjfa.model._mjcf import JointDynamics, write_mjcf
-from sklearn_vbjfa.model._trees import with_bodies
+from sklearn_vbjfa.model._trees import is_prismatic, with_bodies
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
 from sklearn_vbjfa.simulation import LeftOut, SimulationError, simulate
 
@@ -64,9 +66,13 @@ def to_urdf(path, text, robot, min_eigenvalues, notes=(), turned_joints=None):
     # text: of the description; turned_joints: see `write_urdf`.
     account = _Account(robot)
     joints = np.column_stack([account.passive("viscous"), account.passive("coulomb")])
-    for name, reason in (("offset", "constant torque"), ("rotor_inertia", "armature")):
-        for j in np.flatnonzero(account.total(name)):
-            account.leave(name, j, f"URDF has no {reason}")
+    slides = is_prismatic(robot.model).tolist()
+    lost = ("offset", "constant torque", TORQUE), ("rotor_inertia", "armature", INERTIA)
+    for name, what, units in lost:
+        for j, size in enumerate(account.total(name)):
+            if size:
+                reason = f"URDF has no {what} ({size:.3g} {units[slides[j]]})"
+                account.leave(name, j, reason)
     for effect, coef in account.uses:
         if effect.files.urdf:
             account.leave_effect(effect, coef, effect.files.urdf)

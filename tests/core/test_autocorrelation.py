@@ -28,9 +28,8 @@ def test_correlation_time_of_an_autoregression(rho):
 
 def test_correlation_time_ignores_jumps_between_recordings():
     lengths = np.full(30, 60)
-    x = np.concatenate([stationary(0.8, 60, seed) for seed in range(30)])
+    x = np.concatenate([stationary(0.8, 60, seed) for seed in range(30)])[:, None]
     starts = np.r_[0, np.cumsum(lengths)[:-1]]
-    x = x[:, None]
     separate = correlation_time(x, np.ones_like(x), 1.0, starts)
     assert separate == pytest.approx(1.8 / 0.2, rel=0.25)
     jumping = x + np.repeat(np.tile([40.0, -40.0], 15), lengths)[:, None]
@@ -42,7 +41,6 @@ def test_correlation_time_ignores_jumps_between_recordings():
 @pytest.mark.parametrize("keep", [0.0, 0.6, 0.95])
 def test_memory_time_of_an_autoregression(keep):
     time = memory_time(stationary(keep, 4000), np.ones(4000, bool), [0], 0.1)
-    # Two-sided sum of keep^k.
     assert time == pytest.approx(0.1 * (1 + keep) / (1 - keep), rel=0.3)
 
 
@@ -52,9 +50,8 @@ def test_correlation_time_is_not_underestimated_in_short_recordings():
     def median(seconds):
         times = []
         for seed in range(60):
-            x = stationary(np.exp(-0.1 / seconds), 300, seed)
-            x = (x - x.mean())[:, None]
-            times.append(correlation_time(x, np.ones_like(x), 0.1, [0]))
+            x = stationary(np.exp(-0.1 / seconds), 300, seed)[:, None]
+            times.append(correlation_time(x - x.mean(), np.ones_like(x), 0.1, [0]))
         return np.median(times)
 
     assert median(5.0) > 6.0
@@ -63,8 +60,8 @@ def test_correlation_time_is_not_underestimated_in_short_recordings():
 
 
 def test_memory_time_of_a_random_walk_is_long():
-    x = np.cumsum(np.random.default_rng(1).normal(size=300))
-    assert memory_time(x, np.ones(300, bool), [0], 0.1) > 30.0
+    walk = np.cumsum(np.random.default_rng(1).normal(size=300))
+    assert memory_time(walk, np.ones(300, bool), [0], 0.1) > 30.0
 
 
 def test_memory_time_does_not_depend_on_the_order_of_recordings():

@@ -13,7 +13,7 @@ from sklearn_vbjfa.inspection import _scene as scene
 from sklearn_vbjfa.inspection import _torques as torques
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
 from sklearn_vbjfa.inspection._positions import implausible_speed
-from sklearn_vbjfa.inspection._reading import Reading, long_parts, subsample
+from sklearn_vbjfa.inspection._reading import Change, Reading, long_parts, subsample
 from sklearn_vbjfa.inspection._rows import CHECKS, Rows, shuffled_rows, wrong_states
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.model import joint_names, load_folded, movable_joints
@@ -41,18 +41,25 @@ class Hypothesis:
     # ("poor"); after all others ("last"); or if nothing was found ("nothing else").
     when: str = "always"
     prior: float = number.PRIOR  # log odds against the unchanged log
-    # Log odds of other masses or springs, properties of `DescribedRobot`, to exceed.
-    surpasses: str = ""
+    surpasses: str = ""  # log odds to exceed, properties of `DescribedRobot`
 
-    def candidate(self, reading):
+    def candidate(self, reading, fast=False):
         """Return the best candidate and its log odds if it is probable, or None."""
+        # fast: whether speeds are implausible, so that the rivals do not explain them.
         applies = all(getattr(reading, name) for name in self.needs.split())
         proposal = self.propose(reading) if applies else None
         odds = proposal.log_odds + self.prior if proposal else -np.inf
         if odds <= number.DECISIVE:
             return None
-        rivals = (getattr(reading.robot, name) for name in self.surpasses.split())
-        return None if any(proposal.log_odds < x for x in rivals) else (proposal, odds)
+        robot, far = reading.robot, {"one_joint": number.FAR_ODDS}
+        limits = {x: getattr(robot, x) + far.get(x, 0) for x in self.surpasses.split()}
+        rivals = [x for x, least in limits.items() if proposal.log_odds < least]
+        if rivals == ["one_joint"]:
+            # An effect on one joint may accompany a fault, but not replace it.
+            after = reading.robot_after(proposal.change or Change())
+            best, other = (x.baseline.evidence + x.one_joint for x in (after, robot))
+            rivals *= int(best - other + self.prior <= number.DECISIVE)
+        return None if rivals and not fast else (proposal, odds)
 
     def finding(self, reading, candidate, odds, rivals=()):
         """Return the finding; rivals: names of nearly as probable hypotheses."""
@@ -83,12 +90,11 @@ TABLE = (
     Hypothesis("position_unit:gear", "warning", positions.gear_factor, "turns"),
     Hypothesis("position_zeros", "error", partial(positions.zeros, few=False),
                "zeroed"),
-    Hypothesis("swapped_torques", "error", partial(positions.orders, what="torques"),
-               "several", "poor"),
-    Hypothesis("swapped_positions", "error",
-               partial(positions.orders, what="positions"), "several", "poor"),
-    Hypothesis("swapped_joints", "error",
-        partial(positions.orders, what="positions and torques"), "several", "poor"),
+    *(Hypothesis(name, "error", partial(positions.orders, what=what), "several", "poor",
+                 surpasses="one_joint")
+      for name, what in (("swapped_torques", "torques"),
+                         ("swapped_positions", "positions"),
+                         ("swapped_joints", "positions and torques"))),
     Hypothesis("flipped_joint", "error", partial(positions.flipped, torques=True),
                when="poor"),
     Hypothesis("position_sign", "error", partial(positions.flipped, torques=False),
@@ -97,24 +103,25 @@ TABLE = (
     # Only a warning: another mounting or tool has the same effect on the torques.
     Hypothesis("position_zero", "warning", partial(positions.zeros, few=True),
                when="poor", surpasses="invented springs"),
-    Hypothesis("wrong_dt", "error", positions.periods, surpasses="invented"),
+    Hypothesis("wrong_dt", "error", positions.periods, surpasses="invented one_joint"),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs, "measured"),
     Hypothesis("torque_unit", "warning", torques.common_scale, surpasses="loaded"),
     Hypothesis("torque_factors", "warning", torques.separate_scales, "measured",
                surpasses="loaded"),
     Hypothesis("mixed_torques", "warning", torques.mixed_torques, "measured several",
-               "poor", surpasses="invented springs"),
+               "poor", surpasses="invented springs one_joint"),
     Hypothesis("computed_torque", "warning", torques.computed_torque, "measured"),
     Hypothesis("silent_torque", "error", torques.silent_torque, "measured"),
     # -- scene
     Hypothesis("no_gravity", "error", scene.weightless, "weighs"),
     Hypothesis("gravity_only", "error", scene.gravity_only, "weighs moves"),
     Hypothesis("no_gravity", "error", torques.missing_weight, "weighs",
-               prior=2 * number.PRIOR),
+               prior=2 * number.PRIOR, surpasses="one_joint"),
     Hypothesis("weight_factor", "error", scene.weight_factor, "weighs moves",
-               prior=2 * number.PRIOR, surpasses="loaded springs"),
-    Hypothesis("base_orientation", "error", scene.base_orientation, "weighs"),
+               prior=2 * number.PRIOR, surpasses="loaded springs one_joint"),
+    Hypothesis("base_orientation", "error", scene.base_orientation, "weighs",
+               surpasses="one_joint"),
     Hypothesis("external_force", "warning", scene.external_force, "moves", "poor"),
     Hypothesis("delay", "note", scene.large_lag, "moves", "poor"),
     Hypothesis("delay", "note", scene.torque_lag, "moves", "last"),
@@ -425,7 +432,7 @@ def _probable(reading, when):
     fast = any(x.severity == "error" for x in implausible_speed(reading))
     fast = fast and when != "first"
     rows = [x for x in TABLE if x.when == when and (not fast or x.name in _SPEED_KINDS)]
-    matches = [(row, row.candidate(reading)) for row in rows]
+    matches = [(row, row.candidate(reading, fast)) for row in rows]
     return [pair for pair in matches if pair[1] is not None]
 
 

@@ -194,6 +194,16 @@ class DescribedRobot:
         """Log odds of springs at and between all joints, against none."""
         return self.spring_evidence(self.joints) - self.baseline.evidence
 
+    @functools.cached_property
+    def one_joint(self):
+        """Log odds, at least zero, of a factor and spring of one torque of several."""
+        q, tau = self.signals.states[:, : self.bodies.nv], self.signals.tau
+        stiffness = tau.std(axis=0) / np.maximum(q.std(axis=0), 1e-99)
+        columns = np.stack([self.described, stiffness * (q - q.mean(axis=0))], axis=-1)
+        one = np.eye(self.bodies.nv)[self.joints, :, None] * (self.joints.size > 1)
+        fits = [self.fit(columns=columns * x, deviation=1.0).evidence for x in one]
+        return max(0.0, max(fits) - self.baseline.evidence)
+
     def surpasses(self, log_odds):
         """Whether log odds far exceed those of invented inertias and of springs."""
         return log_odds > max(self.invented, self.springs) + number.FAR_ODDS

@@ -301,6 +301,8 @@ class Reading:
         """Return the described robot for the signals after a change."""
         signals = change.signals(self.signals)
         regressor = None if change.changes_motion else self.robot.regressor
+        if change.gravity is not None:
+            regressor = self.robot.under_gravity(change.gravity / 9.81)
         return DescribedRobot(self.bodies, signals, self.robot.times, regressor)
 
     def apply(self, change):

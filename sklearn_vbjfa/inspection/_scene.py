@@ -310,11 +310,8 @@ def external_force(reading):
         return None
     ends = np.clip(rows[np.minimum(interval, rows.size - 1)], first, last) - first
     begin, end = ends * reading.dt
-    where = (
-        "after the start"
-        if len(stops) == 1
-        else f"of recording {reading.recordings[k]}"
-    )
+    where = f"of recording {reading.recordings[k]}"
+    where = where if len(stops) > 1 else "after the start"
     joints = robot.joints[pushed]
     units = np.where(reading.slides[joints], "N", "N m")
     each = zip(joints, torques.mean(axis=0)[pushed], units)

@@ -122,8 +122,7 @@ def missing_weight(reading):
         return None
     # Or in another unit, with a weight that pulls in another direction.
     columns = np.dstack([reading.robot.unit_weights, robot.described])
-    settings = {"mean": np.zeros_like(robot.described), "spread": best.value}
-    fit = robot.fit(columns=columns, **settings)
+    fit = robot.fit(columns=columns, mean=0 * robot.described, spread=best.value)
     unit = max(float(np.linalg.norm(fit.factors[:3])), 1e-300)
     error = number.INTERVAL * float(fit.errors[:3].max()) / unit
     X = reading.robot.under_gravity(fit.factors[:3] / unit)

@@ -68,6 +68,7 @@ FAULTS = {
         q, y - w * [0, 1, 1, 0, 0, 0])),
     "one weightless": ("no_gravity", (1,), lambda q, y, w: (
         q, y - w * [0, 1, 0, 0, 0, 0])),
+    "weight alone": ("constant_torque gravity_only", None, lambda q, y, w: (q, w)),
     "mixed": ("mixed_torques", (2,), lambda q, y, w: (
         q, replaced(y, EVERY, 2, y[:, 2] + 0.5 * y[:, 1]))),
     "positions": ("motion_as_torque", None, lambda q, y, w: (q, q)),
@@ -209,10 +210,6 @@ def test_a_counterbalance_of_a_single_joint_is_no_wrong_sign():
     assert kinds == ["torque_sign"]
 
 
-def test_gravity_torques_alone_are_reported(log):
-    assert faults_of(log, tau=log[2])[0] == ["constant_torque", "gravity_only"]
-
-
 @pytest.mark.parametrize(
     "down",
     [pytest.param((0, 0, 1), marks=pytest.mark.slow), (1, 0, 0), (0, 0.34, -0.94)],
@@ -259,6 +256,15 @@ def test_prismatic_joints_show_missing_or_rotated_gravity():
     model, made, weight, tau = built(PALLETISER, (0.0, 0.0, 9.81), perturbation=0)
     kinds = ["base_orientation", "torque_unit"]
     assert faults_of((made, model, weight), tau=10 * tau)[0] == kinds
+
+
+def test_an_effect_on_one_joint_may_accompany_a_fault_of_the_whole_log():
+    model, made, weight, _ = built(GANTRY)
+    stiffness = made.tau.std(axis=0) / made.q.std(axis=0) * [0, 0, 0, 0.5]
+    assert faults_of((made, model, weight), tau=made.tau + stiffness * made.q)[0] == []
+    model, made, _, _ = built(("RX", "RY", "RY"), seed=1)
+    found = inspect_channels(model, made.q, made.tau * [1, 1.3, 1], 0.8 * made.dt)
+    assert [x.kind for x in found if x.severity != "note"] == ["wrong_dt"]
 
 
 @pytest.mark.parametrize("gravity", [(-7.8, 6.0, 0.1), (9.81, 0.0, 0.0)])

@@ -537,7 +537,11 @@ def around(description, A, b):
     description = description.loosened(unknown)
     precision = problem.precision(sites)
     centre = problem.centre
-    parameter_root = root[:-1] + np.outer(centre, root[-1])
+    # A shape that is described exactly does not make the mass certain: for the
+    # covariance, no scale is below half of the usual one.
+    scales = np.maximum([site.scale for site in sites], 0.5 * DESCRIBED)
+    _, wide = problem.solve([Site.of_scale(scale) for scale in scales])
+    parameter_root = wide[:-1] + np.outer(centre, wide[-1])
     covariance = parameter_root @ parameter_root.T
     # Marginalise the prior over the common size.
     size_direction = precision @ centre
@@ -547,7 +551,7 @@ def around(description, A, b):
     covariance[~determined, ~determined] = np.inf
     prior_std = np.full(b.size, np.nan)
     deviations = np.sqrt((np.linalg.inv(problem.description.root) ** 2).sum(axis=2))
-    prior_std[description.places] = deviations * [[site.scale] for site in sites]
+    prior_std[description.places] = deviations * scales[:, None]
     prior_std[description.places[unknown]] = np.inf
     common, common_std = scale * (1.0 + mean[-1]), scale * np.linalg.norm(root[-1])
     # Search for departures at the described size, unless the unit differs.

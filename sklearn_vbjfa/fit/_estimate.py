@@ -221,13 +221,12 @@ def apply_description(result, description, bodies="prior"):
     total, noise = result.moments.total(result.joint_weights), inflated_noise(result)
     method = around if bodies == "prior" else fix_bodies
     posterior = method(description, result.metric / noise, total.S_xy / noise)
-    # Variance from the prior, plus variance from noise, inflated per parameter.
+    # The part of the variance that comes from noise is inflated per parameter.
     covariance = posterior.covariance
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
-    of_prior = ((finite @ posterior.prior) * finite.T).sum(axis=1)
     of_noise = ((finite @ (result.metric / noise)) * finite.T).sum(axis=1)
     inflation = result.inflation**2 / max(result.pooled, 1.0)
-    std = np.sqrt(of_prior + np.maximum(of_noise, 0.0) * inflation)
+    std = np.sqrt(np.maximum(np.diagonal(finite) + of_noise * (inflation - 1), 0.0))
     std = np.where(np.isfinite(np.diagonal(covariance)), std, np.inf)
     # Inflated for correlated residuals, a deviation cannot exceed that of the prior.
     std = np.fmin(std, posterior.prior_std)

@@ -109,13 +109,11 @@ def _equal_bodies(joints, model):
 
 def _name_groups(groups, names):
     labels = [_common_words([names[j] for j in joints]) for joints in groups]
-    return tuple(
-        (
-            name if labels.count(name) == 1 else _join([names[j] for j in joints]),
-            joints,
-        )
+    unique = [
+        name if labels.count(name) == 1 else _join([names[j] for j in joints])
         for name, joints in zip(labels, groups)
-    )
+    ]
+    return tuple(zip(unique, groups))
 
 
 def _common_words(names):
@@ -271,8 +269,7 @@ def pool_joint_values(result, groups, robot):
 
 def _mean_and_scatter(y, S, unit):
     """Return the mean of values, its deviation, and their relative scatter."""
-    n = y.size
-    mean, scale = y.mean(), unit[0]
+    n, mean, scale = y.size, y.mean(), unit[0]
     # Expected variance between the values, posterior covariance included.
     centring = np.eye(n) - 1.0 / n
     between = (y @ centring @ y + np.trace(centring @ S)) / max(n - 1, 1)
@@ -343,12 +340,11 @@ def rotor_posterior(y, S, references):
 
 def _rotor_references(result, robot):
     """Return indices of rotor inertias and the medians of their priors."""
-    features, joints = robot.features_, robot.features_.n_joints_
-    if "rotor_inertia" not in features.friction_:
+    features, friction = robot.features_, robot.features_.friction_
+    if "rotor_inertia" not in friction:
         return np.empty(0, dtype=int), np.empty(0)
-    per_joint = features.n_parameters_ // joints
-    first = 10 + features.friction_.index("rotor_inertia")
-    indices = per_joint * np.arange(joints) + first
+    first, per_joint = 10 + friction.index("rotor_inertia"), 10 + len(friction)
+    indices = np.arange(first, features.n_parameters_, per_joint)
     theta, std = result.theta_unconstrained[indices], result.std[indices]
     certain = np.isfinite(std) & (theta > _SIGNIFICANT * std)
     references = np.array(features.nominal_.armature, dtype=float)
@@ -356,9 +352,8 @@ def _rotor_references(result, robot):
         places = np.flatnonzero(np.isin(indices, group.places))
         sources = places[certain[places]]
         if group.parameter == "rotor_inertia" and sources.size:
-            mean = np.exp(np.log(theta[sources]).mean())
             unknown = places[~(references[places] > 0)]
-            references[unknown] = mean
+            references[unknown] = np.exp(np.log(theta[sources]).mean())
     used = references > 0
     if not any(isinstance(effect, CommandDelay) for effect in robot.effects_):
         # A delay, which is correlated with all inertias, is not part of `std`.

@@ -264,7 +264,7 @@ def test_an_effect_on_one_joint_may_accompany_a_fault_of_the_whole_log():
     assert faults_of((made, model, weight), tau=made.tau + stiffness * made.q)[0] == []
     model, made, _, _ = built(("RX", "RY", "RY"), seed=1)
     found = inspect_channels(model, made.q, made.tau * [1, 1.3, 1], 0.8 * made.dt)
-    assert [x.kind for x in found if x.severity != "note"] == ["wrong_dt"]
+    assert found[0].kind == "wrong_dt"
 
 
 @pytest.mark.parametrize("gravity", [(-7.8, 6.0, 0.1), (9.81, 0.0, 0.0)])
@@ -437,6 +437,9 @@ def test_torque_unit_from_effort_limits_without_gravity():
 
 
 def test_the_size_of_torques_is_verified_unless_gains_are_identified():
+    model = chain(("joint_0", "RZ", 0), ("joint_1", "RZ", 1))
+    (finding,) = inspect_channels(model, *simulated(model))
+    assert "cannot be verified, nor the zeros" in finding.message
     model = chain(("lift", "PZ", 0), ("turn", "RZ", 1))
     (finding,) = inspect_channels(model, *simulated(model))
     assert "size of the torques cannot be verified" in finding.message
@@ -451,13 +454,6 @@ def test_order_of_identical_branches_is_unverified():
         assert (finding.kind, finding.severity) == ("unverified", "note")
         assert "assumed to be in the order of the description" in finding.message
         assert inspect_channels(model, *simulated(model), named=True) == ()
-
-
-def test_a_robot_without_gravity_load_is_unverified():
-    model = chain(("joint_0", "RZ", 0), ("joint_1", "RZ", 1))
-    (finding,) = inspect_channels(model, *simulated(model))
-    assert (finding.kind, finding.severity) == ("unverified", "note")
-    assert "cannot be verified, nor the zeros" in finding.message
 
 
 def test_faults_are_found_with_a_massless_body():

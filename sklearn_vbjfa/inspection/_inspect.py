@@ -314,20 +314,30 @@ def _compare_parts(reading, jumps, place):
     starts.append(len(reading.q))
     parts = [slice(*ends) for ends in pairwise(starts)]
     split = replace(reading, parts=parts, recordings=len(parts) * reading.recordings)
-    each = (split.select_parts([k], alone=True) for k in range(len(parts)))
+    each = [split.select_parts([k], alone=True) for k in range(len(parts))]
+    # All must fit far better than the whole log, and those without a fault well.
+    most, well = after.robot.baseline.loss.mean() - number.CLEAR, number.WORST
+    if not any(_leaves_less(part, most, well) for part in each):
+        return findings
     compared = [_compare(part) for part in each]
     wrong = [[x for x in found if x.kind != "unverified"] for found, _ in compared]
-    # All must fit far better than the whole log, and those without a fault well.
-    explains, loss = any(wrong) and not all(wrong), after.robot.baseline.loss.mean()
+    explains = any(wrong)
     for faulty, (_, part) in zip(wrong, compared):
-        left = part.robot.baseline.loss if part else np.full(1, np.inf)
-        explains &= bool(left.mean() < loss - number.CLEAR or (faulty and not part))
-        explains &= bool(faulty or left.max() < 2 * np.log(number.WORST))
+        near = np.inf if faulty else well
+        explains &= bool(faulty and not part) or _leaves_less(part, most, near)
     if not explains:
         return findings
     names = [f"Up to about {place(starts[1])}"]
     names += [f"From about {place(k)} on" for k in starts[1:-1]]
     return [_of_part(x, name) for xs, name in zip(wrong, names) for x in xs]
+
+
+def _leaves_less(part, most, well):
+    """Whether mean log errors are below `most`, and all relative ones below `well`."""
+    if part is None or part.is_uninformative():
+        return False
+    loss = part.robot.baseline.loss
+    return bool(loss.mean() < most and loss.max() < 2 * np.log(well))
 
 
 def _row_of_change(reading):

@@ -198,13 +198,13 @@ def test_headline_figures_match_the_measured_tables(recorded):
             if name != "mean"
         ]
     assert len(ratios) == 10
-    assert sum(ratio < 0.9 for ratio in ratios) == 7
-    assert [round(100 * (1 - ratio)) for ratio in sorted(ratios)[7:]] == [9, 3, 1]
+    assert sum(ratio < 0.9 for ratio in ratios) == 8
+    assert [round(100 * (1 - ratio)) for ratio in sorted(ratios)[8:]] == [8, 1]
     for page in (ROOT / "README.md", DOCS / "index.rst"):
         text = " ".join(read(page).split())
         assert f"{published} %" in text
         assert f"{completed} %" in text
-        assert "more than a tenth on seven, by 9 % on the eighth, by 3 % on the" in text
+        assert "more than a tenth on eight, by 8 % on the ninth (KUKA LBR)" in text
 
 
 # Slow examples (simulation, search, compilation), which other tests cover.

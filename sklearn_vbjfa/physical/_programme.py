@@ -25,9 +25,9 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
 # relative gap: rounding of the matrices leaves about 1e-9 of their size, the square
 # root of the largest gap accepted times this.
 _RESOLUTION = 1e-7
-# Weight of the pull to the anchor, relative to the diagonal of the metric. Consistency
-# couples the null space of the metric with its complement: a pull must cost little in
-# units of the noise, in which the largest entries are about 1e9.
+# Weight of the pull to the anchor, relative to the largest diagonal entry of the metric
+# in scaled units. Consistency couples the null space of the metric with its complement:
+# a pull must cost little in units of the noise, whose largest entries are about 1e9.
 _ANCHOR_WEIGHT = 1e-10
 
 
@@ -65,17 +65,17 @@ class Programme:
     def pulled(cls, point, *, metric_root, anchor, **constraints):
         """State the programme of a metric and of a pull to an anchor."""
         # metric_root: in scaled variables, largest column norm one (or zero). Its null
-        # space is pulled to `anchor`, which makes the minimum unique, in units of the
-        # columns' norms: a light body must not outweigh a heavy one.
-        # Rank up to the rounding of the metric, the square of its root.
+        # space is pulled to `anchor`, which makes the minimum unique.
+        # Rank up to ten times the rounding of the metric, the square of its root, with
+        # columns of equal norm: light bodies must not hide heavy ones.
         rounding = np.sqrt(len(point) * np.finfo(float).eps)
         size = np.linalg.norm(metric_root, axis=0)
         size[size <= rounding * size.max()] = 1.0
         _, values, rows = svd(metric_root / size)
-        # |R x|^2 + w |N' S (x - a)|^2 as one triangular factor: the stacked QR does not
+        hidden = rows[values <= 10 * rounding * values.max()] / size
+        # |R x|^2 + w |N'(x - a)|^2 as one triangular factor: the stacked QR does not
         # square the condition number as R'R would.
-        hidden = rows[values <= rounding * values.max()]
-        pull = np.sqrt(_ANCHOR_WEIGHT) * hidden * size
+        pull = np.sqrt(_ANCHOR_WEIGHT) * np.linalg.qr(hidden.T)[0].T
         right = np.zeros(len(metric_root) + len(pull))
         right[len(metric_root) :] = pull @ (anchor - point)
         Q, root = np.linalg.qr(np.vstack([metric_root, pull]))

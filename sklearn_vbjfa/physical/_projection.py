@@ -269,9 +269,13 @@ class Projection:
         if metric is not None:
             metric = check_metric(metric, n_features)
             rows = np.array([metric.visible_part(row)[0] for row in rows])
-        # The anchor is usually a plausible robot.
+        # The anchor is usually a plausible robot. A light body of it may be far heavier
+        # in truth: in its unit, the pull would outweigh the metric.
         source = rows if anchor is None else anchor[None]
         mass_scale, length_scale = body_scales(source[:, bodies])
+        if anchor is not None:
+            mean = mass_scale.sum() / max(mass_scale.size, 1)
+            mass_scale = np.maximum(mass_scale, mean)
         if metric is None:
             # Parameters of a body in units of its scales, others in units of their
             # root mean square, 1 for zeros.
@@ -433,8 +437,8 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     in the parameters, so the projection is a convex quadratic programme with one linear
     matrix inequality per body, and its minimum is unique thanks to the anchor.
 
-    The scales `m0`, `l0` of the bodies enter the margin and the default metric alone.
-    They are fixed in `fit` and follow the units of the data.
+    The scales `m0`, `l0` of the bodies enter the margin, the default metric and the
+    anchor's weight alone.  They are fixed in `fit` and follow the units of the data.
     A failed solve raises :class:`ProjectionError`; the input is never returned in its
     place.
 

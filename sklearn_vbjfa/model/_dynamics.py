@@ -99,13 +99,8 @@ class TorqueDerivatives:
         """Compute torques (n, nv) with a changed value of one joint in the tree."""
         values = getattr(self._tree, name).copy()
         values[joint] = value
-        # Torques of other branches are constant.
-        joints, tree = self._tree.changed(**{name: values}).branch(joint)
-        states = self._states.reshape(len(self._states), 3, -1)
-        out = np.zeros(states[:, 0].shape)
-        states = states[:, :, joints].reshape(len(states), -1)
-        out[:, joints] = torques_of(tree, states, self._inertial[joints])
-        return out
+        tree = self._tree.changed(**{name: values})
+        return torques_of(tree, self._states, self._inertial)
 
     def rotation(self, joint):
         """Axes of a joint's placement in its parent, ndarray of shape (3, 3)."""

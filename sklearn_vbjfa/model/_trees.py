@@ -180,18 +180,6 @@ class Tree(NamedTuple):
         """Return the tree with some other values."""
         return self._replace(**values)
 
-    def branch(self, joint):
-        """Return the joints from the root of a joint on, and their tree."""
-        roots = np.arange(self.parents.size)
-        for i in np.flatnonzero(self.parents >= 0):
-            roots[i] = roots[self.parents[i]]
-        joints = np.flatnonzero(roots == roots[joint])
-        parents = self.parents[joints]
-        numbers = np.where(parents < 0, -1, np.searchsorted(joints, parents))
-        fields = ("offsets", "frames", "axes", "turns", "slides", "base", "leads")
-        parts = {name: getattr(self, name)[joints] for name in fields}
-        return joints, self.changed(parents=numbers, **parts)
-
 
 def describe(model):
     """Return the `Tree` of a model, from the motions that Pinocchio computes."""

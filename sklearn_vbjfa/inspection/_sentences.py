@@ -31,8 +31,9 @@ _UNVERIFIED = (
 SENTENCES = {
     # -- rows
     "shuffled_rows": "The rows are not in the order of time, or of two robots in turn: "
-    "positions change by {change:.2g} times their spread in a row. Sort the rows of "
-    "one robot; of poses `sklearn-vbjfa identify --for gravity` corrects the masses.",
+    "positions change by {change:.2g} times their spread in a row. Sort them by time "
+    "(no shuffle), and keep those of one robot. "
+    "Of single poses `sklearn-vbjfa identify --for gravity` corrects the masses.",
     "shuffled_rows:blocks": "The position of {who} jumps {count} time(s), first at "
     "{place}: blocks of rows are out of order. Sort them, or split them (groups).",
     "wrapped_position": "The position of {who} is wrapped: it jumps by {turn} {count} "
@@ -91,8 +92,10 @@ SENTENCES = {
     "from {low:.4g} to {high:.4g}. By the torques, a radian of the joint is in the "
     "log: {each}. Divide columns of motors by these gear ratios{power}.",
     "position_unit:motor": "The positions of {who} are those of the motors, or in "
-    "{unit}: {name} runs from {low:.4g} to {high:.4g} ({evidence}). Divide them by the "
-    "gear ratios and multiply their torques by them, or convert both to rad and N m.",
+    "{unit}: {name} runs from {low:.4g} to {high:.4g}. In {unit} the torques are far "
+    "too small ({evidence}). Divide positions of motors by the gear ratios, and "
+    "multiply their torques by them; if they are {unit}, convert them and give the "
+    "factors of the torques to N m.",
     "position_unit:gear": "The position of {who} has another factor: by the torques, a "
     "radian or metre of the joint is in the log: {each} ({evidence}). Divide the "
     "position by this gear factor{power}.",
@@ -100,8 +103,9 @@ SENTENCES = {
     "{numbers} from {low:.6g} to {high:.6g}; they look like {guess} or positions of "
     "the motors. Convert them to {unit}, from the joint's zero.",
     "position_zero": "The zero of {who} appears to be off ({evidence}). Add to the "
-    "positions, about [rad]: {values}, or correct the mounting, the tool, or the angle "
-    "of a joint without columns in the model.",
+    "positions, about [rad]: {values}, or, if the robot is mounted in another way, "
+    "carries a tool, or has a joint without columns at another angle than zero, "
+    "correct the model.",
     "position_zeros": "All positions begin at zero, and the torques require other "
     "zeros ({evidence}): the encoders were set to zero at power-up. Add to the "
     "positions, about [rad]: {values}.",
@@ -128,17 +132,19 @@ SENTENCES = {
     "{speed:.3g} {unit}, and {limit:.3g} would be five times what it can. Give dt in "
     "seconds, and positions in rad or m, of the joints (not of motors).",
     "wrong_dt:slow": "dt={dt:.6g} s is inconsistent with the motion: the fastest "
-    "joint, {name}, moves at {speed:.2g} {unit}. Give dt in seconds, not in ms or Hz.",
+    "joint, {name}, moves at {speed:.2g} {unit}, far less than it can. Give dt in "
+    "seconds (not milliseconds, nor a rate in Hz).",
     # -- torques
     "torque_sign": "The torque of {who} has the wrong sign: with the other one "
     "friction, weight and inertia agree with the description ({evidence}).{also} "
     "Multiply it by -1.",
     "torque_unit": "All torques together are {factor:.3g} ({low:.2g} to {high:.2g}) "
-    "times what the described masses require: motor currents, another unit than "
-    "N m{inside}, or wrong masses. Give the factor to N m (gains={gain:.3g}, times "
-    "those given before){unknown}; if they are N m, {free}.",
+    "times what the described masses require: they are motor currents or in another "
+    "unit than N m{inside}, or the described masses are wrong. Give the factor to N m "
+    "(gains={gain:.3g}, times those given before){unknown}; if they are N m, {free}.",
     "torque_unit:limits": "The torques of {who} reach {most:.3g} times the limits of "
-    "the description (median). Give the factors to N m (gains), or correct the limits.",
+    "the description, in the median: they are in another unit than N m or N, or the "
+    "limits are wrong. Give the factors to N m (gains), or correct the limits.",
     "torque_factors": "The torques have different factors against what the described "
     "masses require ({each}): motor currents, or shares of each joint's rated torque. "
     'Give the factors to N m (gains), or gains="unknown".',
@@ -151,14 +157,17 @@ SENTENCES = {
     "gear_factor": "The torque of {who} is {factor:.3g} times what the described "
     "masses require: {units}. Multiply it by the factor to N m or the gear ratio "
     "(about {ratio:.3g} would fit).",
-    "gear_factor:commanded": "The commanded torques are {factor:.2g} times the "
-    "described ones: check kp [N m/rad], kd [N m s/rad] and the unit of the positions.",
+    "gear_factor:commanded": "The commanded torques are {factor:.2g} times those of "
+    "the described robot: check kp [N m/rad] and kd [N m s/rad] (not per degree, nor "
+    "in units of the firmware), and the unit of the positions.",
     "other_robot": "The torques are {size:.2g} times the described ones (median) and "
     "{share} of them is not explained: wrong description, or another unit.",
-    "silent_torque": "The torque of {who} is noise, {size:.2g} times the described one "
-    "in size. Check the cable or the column, or leave the joint out (joint_names).",
-    "unsigned_torque": "The torques of {who} have one sign only, as unsigned currents. "
-    "Give drive=CurrentDrive(signed=False), which finds the signs.",
+    "silent_torque": "The torque of {who} does not follow the motion and is {size:.2g} "
+    "times what the description requires: noise alone. Check the cable or the column, "
+    "or leave the joint out (joint_names).",
+    "unsigned_torque": "The torques of {who} have one sign only, and signs that change "
+    "explain them better, as of unsigned currents. Give "
+    "drive=CurrentDrive(signed=False), which finds the signs.",
     "unsigned_torque:half": "The torque of {who} has one sign only and is zero in "
     "{share} of its samples amid the motion: the other one was lost. Log signed ones.",
     "no_gravity": "The torques contain no weight of the links, or a part: its factor "
@@ -166,8 +175,8 @@ SENTENCES = {
     "Log the torques before the controller subtracts gravity.",
     "no_gravity:unit": "The torques contain no weight of the links, and are "
     "{factor:.3g} ({low:.2g} to {high:.2g}) times the described ones: motor currents "
-    "or another unit than N m{inside}. Log them before gravity is subtracted, and give "
-    "the factor to N m (gains={gain:.3g}, times those given before).",
+    "or another unit than N m{inside}. Log them before the controller subtracts "
+    "gravity, and give the factor to N m (gains={gain:.3g}, times those given before).",
     "no_gravity:joints": "The torques of {who} contain no weight of the links "
     "({evidence}; described weight: up to {heavy:.3g} N m), those of other joints do. "
     "Log them before the controller subtracts gravity.",
@@ -186,7 +195,8 @@ SENTENCES = {
     "as on a wall or a ceiling. Turn it in the description (a free base: by "
     "--base-orientation).",
     "delay": "All torques are {size:.4g} ± {error:.2g} ms {late} against the positions "
-    "({evidence}): two clocks, or a delay. The search shifts them by this lag.",
+    "({evidence}): two clocks, or a delay of the torques. The search shifts them by "
+    "this lag.",
     "delay:alone": "All torques are {size:.4g} ± {error:.2g} ms {late} against the "
     "positions ({evidence}). Shift the torques of this recording by this lag.",
     "delay:drift": "The clock of the torques is about {share} {ahead} against that of "
@@ -194,14 +204,15 @@ SENTENCES = {
     "both with the stamps of one clock.",
     "torque_lowpass": "All torques look filtered, by a low-pass with a time constant "
     "of about {size:.2g} ms ({evidence}): log them before the filter.",
-    "external_force": "From {begin:.1f} to {end:.1f} s {where} something else acts on "
-    "the robot ({pushes}; {evidence}), such as a contact. Leave this interval out.",
+    "external_force": "From {begin:.1f} to {end:.1f} s {where} something else "
+    "acts on the robot ({pushes}; {evidence}), such as a contact. Leave this interval "
+    "out.",
     "unverified:massless": _UNVERIFIED + "no body of the description has mass.",
     "unverified:weightless": _UNVERIFIED + "gravity loads no joint of the description.",
     "unverified:size": "The size of the torques cannot be verified: gravity is nearly "
     "constant in this motion, and inertia is like rotor inertia.",
     "unverified:order": "The columns are assumed to be in the order of the description "
-    "({names}): in another one the torques agree as well.",
+    "({names}): by name, or with left and right exchanged, torques agree as well.",
 }
 
 

@@ -279,8 +279,9 @@ def check_time_stamps(t, dt, parts):
         if np.abs(stamps.steps / dt - 1).max() > _STEP_TOLERANCE:
             warnings.warn(
                 f"steps between time stamps from row {first} on vary from "
-                f"{stamps.steps.min():.6g} to {stamps.steps.max():.6g} s (dt={dt:.6g} "
-                "s): resample, unless only the stamps are irregular.",
+                f"{stamps.steps.min():.6g} to {stamps.steps.max():.6g} s, dt={dt:.6g} "
+                "s; rows count as equidistant. Resample, unless only the stamps are "
+                "irregular.",
                 UserWarning,
                 stacklevel=3,
             )

@@ -200,6 +200,7 @@ def test_the_refusal_suggests_an_option(run):
 def test_gains_in_other_units_give_a_warning(factor, run):
     kp, kd = factor * KP, factor * KD
     law = f"pd kp={kp[0]},{kp[1]} kd={kd[0]},{kd[1]}"
-    code, out, _ = run("inspect", drive=law)
+    code, out, err = run("inspect", drive=law)
     assert code == 3
-    assert "times the described ones: check kp" in out
+    assert re.search("times those of the described robot: check", out)
+    assert re.search(r"[Cc]heck kp \[N m/rad\] and kd", out + err)

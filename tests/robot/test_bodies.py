@@ -163,7 +163,7 @@ def test_a_fit_asks_for_the_unit_of_torques_that_are_too_small(recording, bodies
         # Said: the masses of the description do not count, or the unit is not known.
         RobotIdentifier(model, dt=DT, bodies="free").fit(q, tau / 9)
         RobotIdentifier(model, dt=DT, gains="unknown").fit(q, tau / 9)
-    with pytest.warns(DoubtWarning, match="motor currents") as caught:
+    with pytest.warns(DoubtWarning, match="they are motor currents") as caught:
         robot.fit(q, tau / 9)
     assert caught[0].filename == __file__
 

@@ -30,7 +30,7 @@ def test_regular_stamps_pass():
 def test_jitter_is_told():
     t = stamps()
     t[[20, 70]] += [0.3 * DT, -0.2 * DT]
-    with pytest.warns(UserWarning, match=r"from row 0 on vary") as said:
+    with pytest.warns(UserWarning, match="row 0 on vary .* rows count as") as said:
         check_time_stamps(t, DT, PARTS)
     assert len(said) == 2
 
@@ -67,6 +67,5 @@ def test_what_is_no_time():
     robot = RobotIdentifier(arm.urdf, dt=DT)
     with pytest.raises(ValueError, match=r"t must have shape \(100,\)"):
         robot.fit(arm.q, arm.tau, t=stamps()[:-1])
-    unknown = np.where(np.arange(100) == 5, np.nan, stamps())
     with pytest.raises(ValueError, match=r"t must be .* finite numbers"):
-        robot.fit(arm.q, arm.tau, t=unknown)
+        robot.fit(arm.q, arm.tau, t=np.where(np.arange(100) == 5, np.nan, stamps()))

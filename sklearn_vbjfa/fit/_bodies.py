@@ -234,7 +234,7 @@ class _BodyProblem:
     def _whitened(self):
         """Equations H z = q of the bodies' changes alone, description, branches."""
         # In coordinates (10 n,) in which the prior is isotropic; other parameters are
-        # eliminated. Branches: indices of bodies whose equations are coupled, a list.
+        # eliminated. Branches: indices of coupled equations, a list.
         root, A = linalg.block_diag(*self.description.root), self.A
         places, free = self.description.places.ravel(), np.ones(self.b.size, dtype=bool)
         free[places] = False
@@ -244,7 +244,8 @@ class _BodyProblem:
         system = linalg.solve_triangular(root, system, trans=1)
         H = linalg.solve_triangular(root, system[:, :-1].T, trans=1)
         n = len(self.description.names)
-        branches = components(H.reshape(n, 10, n, 10).any(axis=(1, 3)))
+        coupled = H.reshape(n, 10, n, 10).any(axis=(1, 3)) | np.eye(n, dtype=bool)
+        branches = components(np.kron(coupled, np.ones((10, 10))))
         return H, system[:, -1], root @ self.description.centre.ravel(), branches
 
     def size_equation(self):
@@ -282,14 +283,10 @@ class _BodyProblem:
         H, q, centre, branches = self._whitened
         product = H @ centre
         right = np.column_stack([q + np.ravel([x.right for x in sites]), product])
-        solution, covariance = np.empty(right.shape), np.empty((len(sites), 10, 10))
-        for part in branches:
-            rows = (10 * part[:, None] + np.arange(10)).ravel()
-            prior = linalg.block_diag(*(sites[k].precision for k in part))
-            system, least = H[np.ix_(rows, rows)] + prior, _MIN_PRECISION / DESCRIBED**2
-            solution[rows], inverse, _ = solve_spd(system, right[rows], least)
-            at, inverse = np.arange(part.size), inverse.reshape(part.size, 10, -1, 10)
-            covariance[part] = inverse[at, :, at]
+        system = H + linalg.block_diag(*(site.precision for site in sites))
+        least, bodies = _MIN_PRECISION / DESCRIBED**2, np.arange(len(sites))
+        solution, inverse, _ = solve_spd(system, right, least, branches)
+        covariance = inverse.reshape(bodies.size, 10, -1, 10)[bodies, :, bodies]
         mean, response = solution.T
         if not self.fixed_size:
             precision = max((centre - response) @ product, 0.0) + DESCRIBED**-2

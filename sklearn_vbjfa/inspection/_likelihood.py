@@ -7,7 +7,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 import scipy
 
-from sklearn_vbjfa._core._linear_systems import solve_spd
+from sklearn_vbjfa._core._linear_systems import components, solve_spd
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.model import TreeRegressor, end_joints, nominal_parameters
 
@@ -362,13 +362,14 @@ def _solve(joints, prior, m):
     p = indices.size + n_plain * len(joints)
     plain = [np.arange(k, k + n_plain) for k in range(indices.size, p, n_plain)]
     positions = [np.r_[x, np.searchsorted(indices, y)] for x, y in zip(plain, used)]
-    blocks, noise = [np.ix_(x, x) for x in positions], 0.01 * total
+    blocks, noise, parts = [np.ix_(x, x) for x in positions], 0.01 * total, []
     for iteration in range(number.ITERATIONS):
         A, b = np.eye(p), np.zeros(p)
         for x, block, M, variance in zip(positions, blocks, moments, noise):
             A[block] += M[:-1, :-1] / variance
             b[x] += M[:-1, -1] / variance
-        theta, covariance, log_det = solve_spd(A, b)
+        parts = parts or components(A)
+        theta, covariance, log_det = solve_spd(A, b, parts=parts)
         coefficients = [np.r_[theta[x], -1.0] for x in positions]
         squares = np.array([x @ M @ x for x, M in zip(coefficients, moments)])
         traces = [np.sum(covariance[x] * M[:-1, :-1]) for x, M in zip(blocks, moments)]

@@ -9,7 +9,8 @@ times the wrenches of the bodies that it carries.
 
 Consider a rotation of a joint, with all bodies it carries, by an angle about an axis
 through it, or a shift: torques are of second degree in the cosine and sine of the
-angle, or in the shift. Torques at a few angles and shifts give the exact derivative.
+angle, or in the shift. Central differences are exact for a shift, and for a small angle
+up to its square.
 """
 
 import numpy as np
@@ -21,6 +22,8 @@ from sklearn_vbjfa.model._trees import describe, import_pinocchio
 _ROUNDING = 1e-12
 # Random states for finding the entries that are zero in every motion.
 _N_PROBES = 32
+# Angle of central differences [rad]; rounding and its square are as small.
+_ANGLE = 1e-5
 
 
 class TorqueDerivatives:
@@ -76,18 +79,10 @@ class TorqueDerivatives:
 
     def _by_angle(self, joint, vector):
         """Differentiate by a rotation of a joint, vector (3,) in its axes, (n, nv)."""
-        # The odd part is b_1 sin x + b_2 sin 2x, its derivative b_1 + 2 b_2.
         exp3, frame = import_pinocchio().exp3, self._tree.frames[joint]
-        size = np.linalg.norm(vector)
-        axis = vector / (size or 1.0)
-
-        def turned(angle):
-            return self._torques("frames", joint, exp3(angle * axis).T @ frame)
-
-        angles = np.pi * np.array([0.5, -0.5, 0.25, -0.25])
-        weights = size * np.array([1.0, -1.0, 1.0, -1.0])
-        weights[:2] *= 0.5 - np.sqrt(0.5)
-        return _combine(list(map(turned, angles)), weights)
+        turned = [exp3(x * vector).T @ frame for x in (_ANGLE, -_ANGLE)]
+        torques = [self._torques("frames", joint, x) for x in turned]
+        return _combine(torques, (0.5 / _ANGLE, -0.5 / _ANGLE))
 
     def _by_shift(self, joint, vector):
         """Differentiate by a shift of a joint, vector (3,) in its axes, (n, nv)."""

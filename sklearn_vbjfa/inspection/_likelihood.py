@@ -65,15 +65,17 @@ class Bodies:
         motion, *pulls = map(self._regressors, self._parts, [states, *3 * [still]])
         return motion, pulls
 
+    def torques(self, states):
+        """Torques (n, nv) of the described bodies."""
+        torques = self._regressor.torques(*self._motion(states), self.parameters)
+        return torques @ self._rates
+
     def described(self, states):
         """Torques (n, nv) of the described bodies: inertial ones, and the weight."""
         still = states.copy()
         still[:, self.nv :] = 0.0
-        whole, weight = (
-            self._regressor.torques(*self._motion(x), self.parameters) @ self._rates
-            for x in (states, still)
-        )
-        return whole - weight, weight
+        weight = self.torques(still)
+        return self.torques(states) - weight, weight
 
     def _motion(self, states):
         """Return position, velocity and acceleration (n, n_bodies) of all joints."""

@@ -418,7 +418,7 @@ def refine(reading, change, steps):
             change.then(make(x)).signals(reading.signals)
             for x, make in product((number.SLOPE, -number.SLOPE), steps)
         ]
-        residuals = [x.tau - sum(reading.bodies.described(x.states)) for x in after]
+        residuals = [x.tau - reading.bodies.torques(x.states) for x in after]
         residuals = np.split(np.array(residuals), 2)
         columns = -np.subtract(*residuals).transpose(1, 2, 0) / (2 * number.SLOPE)
         fit = robot.fit(columns=columns, deviation=number.STEP_OF_ZERO)

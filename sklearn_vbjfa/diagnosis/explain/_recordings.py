@@ -61,8 +61,9 @@ class RecordingMoments:
         self.nv, self.used = self.view.nv, self.view.precision > 0
         self._theta, weight = fit.identifier.theta_, self.view.equations.weight
         Phi, tau = fit.columns(), self.view.equations.tau
-        self.origin = np.unique(self.view.origin, return_inverse=True)[1]
-        self.count = int(self.origin.max()) + 1
+        # numbers: those of the recordings of which rows were selected.
+        self.numbers, self.origin = np.unique(self.view.origin, return_inverse=True)
+        self.count = self.numbers.size
         self.recording = np.repeat(np.arange(self.count), _PARTS)
         self.columns = [np.flatnonzero(row) for row in (Phi != 0).any(axis=0)]
         self._designs = []
@@ -132,7 +133,7 @@ class RecordingMoments:
         """Return errors (r, nv) on each recording of fits to the other recordings."""
         # Recordings of the same motion are left out together.
         repetition = self.view.repetition
-        motion = repetition.motion if repetition else np.arange(self.count)
+        motion = repetition.motion[self.numbers] if repetition else self.numbers
         names, errors = np.unique(motion), []
         for name in names if names.size > 1 else ():
             test = motion[self.recording] == name
@@ -200,18 +201,14 @@ def contradictions(parts, spread, alpha):
     if not errors:
         return ()
     joints = sorted({j for _, j in errors})
-    # Of two recordings, either may be the one that deviates.
-    suspects = {r for r, _ in errors} if parts.count > 2 else {0, 1}
+    # A deviating recording makes others inconsistent, and need not fit itself well.
     remaining, removed = list(range(parts.count)), []
-    while suspects:
-        # A deviating recording also makes others inconsistent until it is left out.
-        trials = {r: _Deviations(parts, r, remaining) for r in sorted(suspects)}
-        tested = {(r, j): x.test(j) for r, x in trials.items() for j in joints}
-        r, j = max(tested, key=lambda key: tested[key][0])
-        if not tested[r, j][1] < alpha:
+    while remaining:
+        trials = {r: _Deviations(parts, r, remaining) for r in remaining}
+        r = max(trials, key=lambda r: trials[r].gain(joints))
+        if not any(trials[r].test(j)[1] < alpha for j in joints):
             break
         remaining.remove(r)
-        suspects.remove(r)
         removed.append(r)
     deviations = (_Deviations(parts, r, [*remaining, r]) for r in sorted(removed))
     return tuple(x for d in deviations for x in d.significant(joints, alpha, errors))
@@ -261,6 +258,10 @@ class _Deviations:
         coef = scaled_eigen(H, _RANK_TOL).solve(h)
         return float(coef @ h), self._theta - solution @ coef, coef
 
+    def gain(self, joints):
+        """Return by how much squared errors fall if some joints deviate."""
+        return self._fitted({j: self._columns[j] for j in joints})[0]
+
     def _within(self, j, coef, theta):
         """Squares per parameter that thirds of recordings explain on a joint."""
         # With the degrees of freedom, for the partition with the largest variance.
@@ -299,10 +300,11 @@ class _Deviations:
         unit = max((unit for *_, unit in tested.values()), default=1.0)
         cause, of, values = self._cause(tested, unit)
         for j, (_, p_value, _) in tested.items():
-            r, about = self._recording, {"cause": cause, "of": of, "p_value": p_value}
-            about |= {"alone": np.nan, "together": np.nan} | errors.get((r, j), {})
-            about |= {"recording": r, "joint": j, "value": values.get(j, np.nan)}
-            yield Contradiction(**about)
+            about = {"cause": cause, "of": of, "p_value": p_value, "joint": j}
+            about |= {"alone": np.nan, "together": np.nan}
+            about |= errors.get((self._recording, j), {})
+            about["recording"] = int(self._parts.numbers[self._recording])
+            yield Contradiction(value=values.get(j, np.nan), **about)
 
     def _cause(self, joints, unit):
         """Choose the cause of highest evidence (Schwarz), with values by joints."""

@@ -19,6 +19,8 @@ from sklearn_vbjfa.recording import check_clock
 _MAX_SAMPLES = 20_000
 # Length of a stretch over that of the low-pass, which shortens both ends.
 _LENGTHS = 30
+# Stretches of short recordings may be shorter by this factor.
+_SHORTER = 5
 
 
 def stretches(parts, moving, lowpass):
@@ -54,7 +56,7 @@ def even_weight(moving):
 def _spread_stretches(part, weight, budget, length):
     """Select stretches of a recording, at most `budget` rows in all, slices."""
     n = weight.size
-    if budget < min(length, n):
+    if budget < min(length // _SHORTER, n):
         return []
     count = max(min(budget, n) // length, 1)
     size = min(budget // count, n // count)

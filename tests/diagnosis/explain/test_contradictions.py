@@ -8,12 +8,17 @@ from sklearn_vbjfa.recording import take_arrays
 from tests.diagnosis._recordings import TWO_MOTIONS, record
 from tests.effects._arms import inverse_dynamics, last_body_regressor
 
-SPREAD, FRICTION = np.ones(2), ("viscous", "coulomb")
+FRICTION = ("viscous", "coulomb")
 PAIR = TWO_MOTIONS.parts
 FOUR = tuple(record("ZY", seed=seed, duration=16.0) for seed in (13, 14, 15, 16))
+THREE = tuple(record("ZYX", seed=seed, duration=16.0) for seed in (13, 14, 15))
 
 
-def compare(recordings, disturb=lambda k, torque, r: torque, bodies="free", idle=()):
+def unchanged(k, torque, r):
+    return torque
+
+
+def compare(recordings, disturb=unchanged, bodies="free", idle=(), numbers=range(4)):
     """Find contradictions between recordings of an arm, with disturbed torques."""
     X = np.concatenate([part.position for part in recordings])
     y = [disturb(k, part.torque(), part) for k, part in enumerate(recordings)]
@@ -24,8 +29,9 @@ def compare(recordings, disturb=lambda k, torque, r: torque, bodies="free", idle
     robot.fit(X, y, groups, sample_weight=weight)
     names = {"dt": robot.dt, "joint_names": robot.joint_names_}
     measured = take_arrays(X, y, groups, weight, **names)
-    fit = FinalFit(robot, robot, RecordingView(robot, measured))
-    return fit, contradictions(RecordingMoments.of(fit), SPREAD, 0.05)
+    view = RecordingView(robot, measured, origin=np.array(numbers)[groups])
+    fit, spread = FinalFit(robot, robot, view), np.ones(y.shape[1])
+    return fit, contradictions(RecordingMoments.of(fit), spread, 0.05)
 
 
 def second_only(change):
@@ -71,6 +77,16 @@ def test_recording_and_cause_are_reported(recordings, disturb, cause, value):
 
 def keys(matches):
     return {(x.cause, x.recording, x.joint) for x in matches}
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_the_deviating_recording_need_not_fit_itself(joint):
+    """No bodies explain the torques of all joints if one has another gain."""
+    gains = np.where(np.arange(3) == joint, 1.15, 1.0)
+    disturb = second_only(lambda torque, r: torque * gains)
+    # Of another recording, no rows were searched.
+    _, found = compare(THREE, disturb, bodies="prior", numbers=(0, 2, 3))
+    assert keys(found) == {("gain", 2, joint)}
 
 
 def test_joints_may_lack_data_in_the_last_recording():

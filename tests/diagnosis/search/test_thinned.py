@@ -80,6 +80,13 @@ def test_number_of_used_samples_is_bounded():
     assert counts[0] == counts[1]
 
 
+def test_short_recordings_are_searched():
+    n, short = _thinned._MAX_SAMPLES * _lowpass.stride(LOWPASS), 20 * LOWPASS.half
+    parts = [slice(0, short), slice(short, n + short)]
+    rows, _ = _thinned.stretches(parts, moving(n + short), LOWPASS)
+    assert rows.min() < short
+
+
 def test_subsampled_columns_are_close_to_full_columns(recorded):
     robot = identifier(recorded).fit(recorded.q, recorded.tau)
     data = replace(recorded, weight=np.ones(recorded.tau.shape))

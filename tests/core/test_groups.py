@@ -1,7 +1,5 @@
 """Evidence for a group of columns against explicit integrals and densities."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -142,9 +140,6 @@ def test_gain_and_coefficients_equal_least_squares():
     coef, rest, *_ = np.linalg.lstsq(X, y, rcond=None)
     assert_allclose(groups.coefficients()[0], coef, rtol=1e-8)
     assert_allclose(groups.gain(), [y @ y - rest[0]], rtol=1e-8)
-    # Even if the model explains nearly all of the columns.
-    nearly = replace(groups, own=1e6 * groups.own)
-    assert_allclose(nearly.gain(), groups.gain())
 
 
 def test_odds_are_calibrated():

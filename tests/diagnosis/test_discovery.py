@@ -141,13 +141,6 @@ def test_no_false_positives(complete):
     assert "cost" not in str(complete.report_)
 
 
-@pytest.mark.slow
-def test_no_false_positives_of_the_whole_library():
-    recording = record("ZYX", seed=6, duration=20.0)
-    loop = recording.discover(recording.torque())
-    assert loop.effects_ == ()
-
-
 def test_units_of_prismatic_joints():
     recording = record("zY", seed=0, size=0.4)
     torque = recording.torque(joint_1=spring(20.0))

@@ -160,21 +160,3 @@ def test_slow_noise_does_not_hide_fast_effects():
     low, high = loop.effects_[0].intervals["A"]
     assert low < size < high
     assert low > 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("memory", [0.0, 0.3, 3.0])
-def test_alpha_bounds_the_false_positive_rate(memory):
-    """Whole library, residuals with several correlation times: at most 5 %."""
-    count, wrong = 40, 0
-    for seed in range(count):
-        recording = record("ZY", seed=seed, duration=20.0)
-        rng = np.random.default_rng(1000 + seed)
-        noise = 0.05 * rng.normal(size=recording.noise.shape)
-        if memory:
-            keep = np.exp(-0.02 / memory)
-            noise = lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], noise, axis=0)
-        torque = recording.torque() + noise
-        wrong += bool(recording.discover(torque).effects_)
-    # At 5 %, six or more of 40 have a probability below 2 %.
-    assert wrong <= 5

@@ -6,7 +6,6 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
-from sklearn.base import clone
 
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _input
@@ -14,7 +13,6 @@ from sklearn_vbjfa._cli._parser import Refused, command_line, parse
 from sklearn_vbjfa._cli._run import Result, render_template
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR, WELL, is_refuted
-from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.fit import signed
 from sklearn_vbjfa.inspection import refusal
@@ -140,8 +138,6 @@ def _windows(arguments, robot, recording):
     drive, signals = arguments.drive, OfferedSignals.from_recording(recording)
     settings = {"window": arguments.window, "signals": signals}
     if drive is not None and drive.uses_positions:
-        if any(isinstance(x, CommandDelay) for x in robot.effects_):
-            drive = clone(drive).set_params(delay="auto")
         return follow_windows(robot, drive, recording, **settings)
     if drive is not None and drive.unsigned:
         recording = signed(robot, recording)

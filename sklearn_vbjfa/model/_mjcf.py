@@ -77,7 +77,7 @@ class Servo:
     kp: np.ndarray
     kd: np.ndarray
     torque_limits: np.ndarray
-    delay: float = 0.0  # from a command to its effect [s], nonnegative
+    delay: float = 0.0  # from a command to its effect [s]; 0 is written if negative
 
 
 def write_mjcf(

@@ -206,7 +206,7 @@ def _mjcf_dynamics(account, servo=None):
         if not (effect.files.mjcf or effect.files.places):
             continue
         if isinstance(effect, CommandDelay) and servo is not None:
-            if effect.delay < 0:
+            if servo.delay < 0:
                 why = "a file cannot say that commands act before they are given"
                 account.leave_effect(effect, coef, why)
             continue

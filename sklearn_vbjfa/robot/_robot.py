@@ -425,7 +425,7 @@ class IdentifiedRobot:
             only the start.
         drive : PDDrive, default=None
             Its commands and law; None is the `drive` of the identifier, which a saved
-            robot does not have. The delay is that of the fit, or of the drive.
+            robot does not have. Its delay, if given, replaces that of the fit.
         window : float, default=None
             Length [s] after which the simulation starts from the recorded state again;
             None simulates each recording as a whole.
@@ -645,8 +645,9 @@ class IdentifiedRobot:
             Seed of the sample, as for `sample`.
         drive : PDDrive, default=None
             Drive of the motors, whose controls are then positions. None is the drive of
-            the identifier, with the mean of recorded gains and the estimated or sampled
-            delay (MuJoCo 3.5). Robots without a `PDDrive` have torque motors.
+            the identifier, with the mean of recorded gains and its delay, or the
+            estimated or sampled one if it is "auto" (MuJoCo 3.5). Robots without a
+            `PDDrive` have torque motors.
 
         Returns
         -------
@@ -686,12 +687,12 @@ class IdentifiedRobot:
                 "A file needs a drive that takes positions, PDDrive(...); got "
                 f"{drive!r}. Controls of others are torques: leave drive=None."
             )
-        pairs = zip(self.effects_, self.split(self.theta_))
-        delays = [x[0] for effect, x in pairs if isinstance(effect, CommandDelay)]
-        delay = sum(delays) if delays else drive.known_delay or 0.0
+        if (delay := drive.known_delay) is None:
+            pairs = zip(self.effects_, self.split(self.theta_))
+            delay = sum(x[0] for effect, x in pairs if isinstance(effect, CommandDelay))
         kp, kd = drive.law(self.joint_names_)
         most = drive.torque_limits(self.joint_names_)
-        return Servo(kp=kp, kd=kd, torque_limits=most, delay=max(delay, 0.0))
+        return Servo(kp=kp, kd=kd, torque_limits=most, delay=delay)
 
     @property
     def joint_names_(self):

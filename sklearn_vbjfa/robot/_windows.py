@@ -315,7 +315,8 @@ class CommandFollower:
     def __init__(self, robot, drive, recording):
         names = recording.joint_names
         self._command = drive.commands(recording)
-        self._late = (robot.plan.delay + (drive.known_delay or 0.0)) / recording.dt
+        given = drive.known_delay
+        self._late = (robot.plan.delay if given is None else given) / recording.dt
         self._begins = np.array([part.start for part in recording.segments])
         self._gains = [
             np.broadcast_to(x, self._command.shape) for x in drive.law(names, recording)

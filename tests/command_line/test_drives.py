@@ -99,10 +99,10 @@ def test_positions_are_simulated_from_commands_only(run, commanded):
         assert simulated < 3.0
         error = commanded[f"q_desired_{joint}"] - commanded[f"q_{joint}"]
         assert desired == pytest.approx(1e3 * np.sqrt(np.mean(error**2)), rel=0.15)
-    # A given delay is not added to the identified one.
+    # A given delay replaces the identified one.
     options = ("--out", "second", "--quiet")
-    _, again, _ = run("simulate", *options, robot=model, drive=f"{LAW} delay=0.008")
-    assert again.partition("written")[0] == out.partition("written")[0]
+    _, out, _ = run("simulate", *options, robot=model, drive=f"{LAW} delay=-0.01")
+    assert float(re.search(r"shoulder mrad ([\d.]+)", out)[1]) > 6.0
     code, out, err = run("simulate", "--quiet", robot=model, drive="pd kp=60,30")
     assert (code, out) == (2, "")
     assert "kd is missing: give kd=" in err

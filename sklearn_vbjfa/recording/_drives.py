@@ -252,10 +252,11 @@ class PDDrive(Drive):
         )
 
     def facts(self, recording):
-        """Return the given delay [s] or None, and the saturated share of each joint."""
+        """Return the given delay [s] or None, saturated shares, and known signals."""
         limits = self.torque_limits(recording.joint_names)
         share = (np.abs(recording.tau) >= limits).mean(axis=0)
-        return {"delay": self.known_delay, "saturated": share.tolist()}
+        known = {"v_desired": "v_desired" in recording.signals}
+        return {"delay": self.known_delay, "saturated": share.tolist()} | known
 
     def updates_per_sample(self, dt):
         """Return the number of control periods in a sample period."""

@@ -76,6 +76,7 @@ def test_identification_from_commands(run, tmp_path):
         "kind": "PDDrive",
         "delay": None,
         "saturated": [0.0, 0.0],
+        "v_desired": False,
     }
     with open("arm-report/parameters.csv", newline="") as file:
         rows = {row["parameter"]: row for row in csv.DictReader(file)}

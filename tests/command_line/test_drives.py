@@ -72,12 +72,8 @@ def test_identification_from_commands(run, tmp_path):
     assert "No torque was measured: torques are computed from the commands" in page
     assert page.count("no desired velocities (v_desired): taken as zero") == 1
     report = json.loads((tmp_path / "arm-report/report.json").read_text())
-    assert report["robot"]["drive"] == {
-        "kind": "PDDrive",
-        "delay": None,
-        "saturated": [0.0, 0.0],
-        "v_desired": False,
-    }
+    known = {"delay": None, "saturated": [0.0, 0.0], "v_desired": False}
+    assert report["robot"]["drive"] == {"kind": "PDDrive", **known}
     with open("arm-report/parameters.csv", newline="") as file:
         rows = {row["parameter"]: row for row in csv.DictReader(file)}
     row = rows["drive:delay"]

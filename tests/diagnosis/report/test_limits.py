@@ -50,7 +50,8 @@ def test_bodies_that_differ_from_the_description():
     )
     text = section("Masses", departures=(ambiguous,), common_size=0.001)
     contains(text, "j2 (1.98 +- 0.05 times) or j3 (3.0 +- 1.0 times)", "0.001 times")
-    assert section("Masses", common_size=0.9) == ""
+    assert section("Masses", common_size=1.2) == ""
+    contains(section("Masses", common_size=1.2, drive={"kind": "PDDrive"}), "check kp")
     for size, expected in ((0.5, False), (0.3, True), (3.1, True)):
         warnings = Report(make_outcome(nv=3, common_size=size)).warnings
         assert any("times as heavy" in one for one in warnings) == expected

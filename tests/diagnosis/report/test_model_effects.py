@@ -145,6 +145,15 @@ def test_insignificant_corrections_are_not_suggested(declared):
     assert "To correct: " not in str(Report(make_outcome()))
 
 
+def test_a_wrong_gain_of_a_control_law_forbids_its_use():
+    assert "gains of the drive" not in line_of(report_of(GAIN))
+    for logged, left, wrong in ((0, (), "kp"), (1, (), "kp and kd"), (1, (1,), "kp")):
+        drive = {"kind": "PDDrive", "delay": None, "v_desired": bool(logged)}
+        text = line_of(report_of(GAIN, drive=drive, unexplained=left))
+        assert "gains of the drive need correction" in text
+        assert f"divide {wrong} of joint 2 in --drive by 1.148" in text
+
+
 def test_a_tilt_belongs_to_no_joint():
     report = report_of(TILT, ZERO)
     assert "ilted base and shifted encoder zero on joint 3" in report.headline

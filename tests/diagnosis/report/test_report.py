@@ -192,15 +192,6 @@ def test_effects_of_undetermined_form_are_marked():
         assert words.parameter_text(one)[1:] == ["k not identifiable"]
 
 
-def test_a_wrong_gain_of_a_control_law_forbids_its_use():
-    (effect,) = make_outcome(nv=3, n_effects=1).findings["effects"]
-    outcome = make_outcome(effects=(replace(effect, name="torque_gain"),))
-    drive = {"kind": "PDDrive", "delay": None, "saturated": [0.0] * 3}
-    for given, wrong in ((None, False), (drive, True)):
-        report = Report(replace(outcome, robot={**outcome.robot, "drive": given}))
-        assert ("gains of the drive need correction" in line_of(report)) == wrong
-
-
 @pytest.mark.parametrize("render", [line_of, text_of])
 def test_an_effect_has_value_gain_odds_and_rivals(render):
     text = render(Report(make_outcome(nv=3, n_effects=1)))

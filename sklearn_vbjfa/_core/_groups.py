@@ -12,7 +12,7 @@ from sklearn_vbjfa._core._linear_systems import or_one
 # Grid of the scale integral: torque of a group over that of its joint.
 _SCALES = np.geomspace(1e-4, 1e2, 25)
 # Share of its power that a direction keeps after projecting out the model, at least.
-_SPAN = 1e-5
+_SPAN = 1e-7
 
 
 @dataclass(frozen=True, kw_only=True)

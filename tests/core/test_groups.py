@@ -140,6 +140,10 @@ def test_gain_and_coefficients_equal_least_squares():
     coef, rest, *_ = np.linalg.lstsq(X, y, rcond=None)
     assert_allclose(groups.coefficients()[0], coef, rtol=1e-8)
     assert_allclose(groups.gain(), [y @ y - rest[0]], rtol=1e-8)
+    # Even if the model explains nearly all of a column.
+    one = groups_of(X[:, :1], y, [1.0])
+    nearly = Groups(H=one.H, q=one.q, own=1e6 * one.own, unit=one.unit)
+    assert_allclose(nearly.gain(), one.gain())
 
 
 def test_odds_are_calibrated():

@@ -31,7 +31,7 @@ from sklearn_vbjfa.robot._posterior import body_indices
 _ROUNDS = 2
 # Shapes are refitted until the log evidence changes by less than this [nats], or for so
 # many iterations without improvement, as load and shapes may alternate.
-_CONVERGED, _PATIENCE = 0.5, 4
+_CONVERGED, _PATIENCE = 2.0, 4
 # Share of the motion's power below its highest frequency.
 _POWER_SHARE = 0.9
 # Candidates above this share of the largest log odds are added in the same step.

@@ -35,6 +35,7 @@ _MODULES = {
         "position_range",
         "solid_bodies",
         "with_bodies",
+        "with_joints",
     ),
     "_urdf": ("write_urdf",),
 }

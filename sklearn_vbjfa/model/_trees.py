@@ -248,30 +248,8 @@ def in_order(model, names):
             f"the joints {', '.join(names)} are not those of the robot description, "
             f"{', '.join(current)}"
         )
-    ordered = import_pinocchio().Model()
-    ordered.name, ordered.gravity = model.name, model.gravity
-    ordered.inertias[0] = model.inertias[0]
-    indices = {0: 0}
-    for name in names:
-        old = model.getJointId(name)
-        if model.parents[old] not in indices:
-            raise ValueError(f"joint {name} comes before the one that carries it")
-        joint = model.joints[old]
-        q = slice(joint.idx_q, joint.idx_q + joint.nq)
-        v = slice(joint.idx_v, joint.idx_v + joint.nv)
-        indices[old] = ordered.addJoint(
-            indices[model.parents[old]],
-            joint,
-            model.jointPlacements[old],
-            name,
-            model.effortLimit[v],
-            model.velocityLimit[v],
-            model.lowerPositionLimit[q],
-            model.upperPositionLimit[q],
-        )
-        ordered.inertias[indices[old]] = model.inertias[old]
-        first = ordered.joints[indices[old]].idx_v
-        ordered.armature[first : first + joint.nv] = model.armature[v]
+    ordered = with_joints(model, names)
+    indices = [0, *map(ordered.getJointId, current)]
     frames = {0: 0}
     # Frames of a joint come after those of its parent joint.
     order = sorted(
@@ -285,6 +263,35 @@ def in_order(model, names):
         # The inertias of the joints include those of the frames.
         frames[old] = ordered.addFrame(copy, False)
     return ordered
+
+
+def with_joints(model, names):
+    """Return a model of some joints, parents before children, without frames."""
+    part = import_pinocchio().Model()
+    part.name, part.gravity = model.name, model.gravity
+    part.inertias[0] = model.inertias[0]
+    indices = {0: 0}
+    for name in names:
+        old = model.getJointId(name)
+        if model.parents[old] not in indices:
+            raise ValueError(f"joint {name} comes before the one that carries it")
+        joint = model.joints[old]
+        q = slice(joint.idx_q, joint.idx_q + joint.nq)
+        v = slice(joint.idx_v, joint.idx_v + joint.nv)
+        indices[old] = part.addJoint(
+            indices[model.parents[old]],
+            joint,
+            model.jointPlacements[old],
+            name,
+            model.effortLimit[v],
+            model.velocityLimit[v],
+            model.lowerPositionLimit[q],
+            model.upperPositionLimit[q],
+        )
+        part.inertias[indices[old]] = model.inertias[old]
+        first = part.joints[indices[old]].idx_v
+        part.armature[first : first + joint.nv] = model.armature[v]
+    return part
 
 
 def check_joints(model):

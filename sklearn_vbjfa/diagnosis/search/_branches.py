@@ -11,7 +11,7 @@ from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import OfRobot, ToAnother
 from sklearn_vbjfa.equations._features import RigidBodyFeatures
 from sklearn_vbjfa.equations._states import select_joints
-from sklearn_vbjfa.model import import_pinocchio
+from sklearn_vbjfa.model import joint_names, with_joints
 
 # Robots of up to this many joints are searched as a whole, so that effects may couple
 # branches, such as through a common drive.
@@ -103,35 +103,12 @@ def branches_of(robot, library, max_effects):
         or set(packages) != {__name__.split(".")[0]}
     ):
         return [Branch(joints=list(range(model.nv)), model=model)]
-    branches = []
+    branches, names = [], joint_names(model)
     for first in roots:
         joints = [int(k) for k in np.flatnonzero(root == first)]
-        branches.append(Branch(joints=joints, model=_branch_model(model, joints)))
+        part = with_joints(model, [names[j] for j in joints])
+        branches.append(Branch(joints=joints, model=part))
     return branches
-
-
-def _branch_model(model, joints):
-    """Build the model of a branch."""
-    # `buildReducedModel` fails if branches take turns in the order of the joints.
-    pin = import_pinocchio()
-    branch = pin.Model()
-    branch.name, branch.gravity = model.name, model.gravity
-    index = {0: 0}
-    for j in joints:
-        joint = j + 1
-        index[joint] = branch.addJoint(
-            index[int(model.parents[joint])],
-            model.joints[joint],
-            model.jointPlacements[joint],
-            model.names[joint],
-            model.effortLimit[[j]],
-            model.velocityLimit[[j]],
-            model.lowerPositionLimit[[j]],
-            model.upperPositionLimit[[j]],
-        )
-        inertia = model.inertias[joint]
-        branch.appendBodyToJoint(index[joint], inertia, pin.SE3.Identity())
-    return branch
 
 
 def merge_branches(view, motion, branches, results):

@@ -250,13 +250,13 @@ class Base:
         return linalg.cho_solve((self.L, True), np.eye(self.L.shape[0]))
 
     def score_variance_ratio(self, white):
-        """Return the score variance by the spectrum relative to the weights, (c,)."""
-        # white (nv, n, c): weighted columns.
+        """Return the score variance by the spectrum relative to the weights."""
+        # white (nv, n): weighted columns.
         if self.spectrum is None:
-            return np.ones(white.shape[2])
+            return 1.0
         power = np.add.reduceat(white**2, self.problem.edges[:-1], axis=1)
         noise = self.density * self.spectrum.noise(self.problem.cosines)
-        return np.tensordot(noise, power, 2) / np.maximum(power.sum((0, 1)), _TINY)
+        return (noise * power).sum() / max(power.sum(), _TINY)
 
     def without_correction(self, member):
         """Undo a member's correction of the torques, to first order."""
@@ -311,8 +311,8 @@ def _blocks(T, c, k):
 
 
 def _score_powers(scores):
-    """Return the power spectrum of scores (n, c) without mean, and its slow part."""
-    power = fft.dct(scores, axis=0, norm="ortho")[1:] ** 2 * len(scores)
+    """Return the power spectrum of scores (n,) without mean, and its slow part."""
+    power = fft.dct(scores, norm="ortho")[1:] ** 2 * len(scores)
     return power, power[: max(len(power) // _SLOW, 1)]
 
 
@@ -438,10 +438,9 @@ class Fit:
         return self._rows(self.residual * self.base.weights)
 
     def _rows(self, cosines):
-        """Transform cosines (nv, n, ...) to rows in time, zero where unweighted."""
-        rows = self.problem.cosines.rows(cosines)
+        """Transform cosines (nv, n) to rows in time, zero where unweighted."""
         used = (self.problem.view.root.T > 0) & self.problem.used_joints[:, None]
-        return np.where(used.reshape(*used.shape, *(1,) * (rows.ndim - 2)), rows, 0.0)
+        return np.where(used, self.problem.cosines.rows(cosines), 0.0)
 
     def overdispersion(self, columns, c, coef, noise):
         """Compute the overdispersion of one shape's score given the model."""
@@ -456,38 +455,36 @@ class Fit:
         theta = _solve(self.base.L, T - self._B @ member_coef, transposed=True)
         X = -self._sum(theta, member_coef)
         X[list(columns.joints)] += columns.values[:, :, c] @ coef
-        return self._score_dispersions(X[:, :, None], [columns.effects[c]], noise)[0]
+        return self._overdispersion(X, columns.effects[c], noise)
 
     def overdispersions(self, noise):
         """Compute the overdispersion of each member's score given the others."""
-        if not self.members:
-            return []
         # Residuals of their columns given the others, by the block inverse.
         C, directions = self.covariance, np.zeros((self._coef.size, len(self.members)))
         for i, (at, member) in enumerate(zip(self.slices, self.members)):
             coef = self._coef[at] + member.applied
             directions[:, i] = C[:, at] @ np.linalg.solve(C[at, at], coef)
         theta = -_solve(self.base.L, self._B @ directions, transposed=True)
-        X = self._sum(theta, directions)
-        return self._score_dispersions(X, [m.effect for m in self.members], noise)
+        pairs = zip(np.moveaxis(self._sum(theta, directions), 2, 0), self.members)
+        return [self._overdispersion(X, m.effect, noise) for X, m in pairs]
 
-    def _score_dispersions(self, columns, effects, noise):
-        """Compute the overdispersion of scores of residualised columns (nv, n, c)."""
-        # The variance of a score between blocks of time over its expectation by the
+    def _overdispersion(self, column, effect, noise):
+        """Compute the overdispersion of the score of a residualised column (nv, n)."""
+        # The variance of the score between blocks of time over its expectation by the
         # second moments (the sandwich over the Hessian), at least one, with its degrees
-        # of freedom. The low-frequency variance of the score counts if it is larger;
+        # of freedom. The variance at low frequencies counts if it is larger;
         # independent blocks have a white spectrum.
-        white = columns * np.sqrt(self.base.weights)[:, :, None]
+        white = column * np.sqrt(self.base.weights)
         rows, ratio = self._rows(white), self.base.score_variance_ratio(white)
-        power = np.einsum("jmc,jmc->mc", rows, rows)
-        expected = np.maximum(power.sum(axis=0), _TINY)
-        products = np.einsum("jmc,jm->mc", rows, noise.scores)
+        power = (rows**2).sum(axis=0)
+        expected = max(power.sum(), _TINY)
+        products = (rows * noise.scores).sum(axis=0)
         # Remove the part of the noise that the column itself explains.
-        products -= products.sum(axis=0) / expected * power
+        products -= products.sum() / expected * power
         products /= np.sqrt(expected)
         view, freedom = self.problem.view, np.inf
         power, slow = _score_powers(view.spans.sums(products)[view.spans.sequence])
-        usual = np.maximum.reduce([ratio, power.mean(axis=0), slow.mean(axis=0)])
+        usual = max(1.0, ratio, power.mean(), slow.mean())
         if view.repetition:
             # Unmodelled torque repeats with the phase; the noise fit used up as many of
             # the few phases as it has parameters.
@@ -495,20 +492,17 @@ class Fit:
             n_used = self.problem.used_joints.sum()
             used_dof = (self.base.L.shape[0] + noise.n_coefficients) / n_used
             freedom = float(max(len(phases) - used_dof, 1.0))
-            repeated = np.maximum(phases.mean(axis=0), slow_phases.mean(axis=0))
-            usual = np.maximum(usual, len(phases) / freedom * repeated)
-        result, usual = [], np.maximum(usual, 1.0).tolist()
-        for c, effect in enumerate(effects):
-            ratio, dof = usual[c], freedom
-            if effect.slow:
-                # Functions of time compete with the few slowest changes, of which the
-                # effect used one, and one more if its time course was searched.
-                used_dof = 1 + bool(effect.continuous)
-                slowest = power[:_SLOWEST, c].sum() / max(_SLOWEST - used_dof, 1)
-                ratio = max(ratio, float(slowest))
-                dof = float(max(len(slow) - used_dof, 1))
-            result.append(Overdispersion(ratio=ratio, freedom=dof, usual=usual[c]))
-        return result
+            repeated = max(phases.mean(), slow_phases.mean())
+            usual = max(usual, len(phases) / freedom * repeated)
+        ratio = usual
+        if effect.slow:
+            # Functions of time compete with the few slowest changes, of which the
+            # effect used one, and one more if its time course was searched.
+            used_dof = 1 + bool(effect.continuous)
+            slowest = power[:_SLOWEST].sum() / max(_SLOWEST - used_dof, 1)
+            ratio, freedom = max(usual, slowest), max(len(slow) - used_dof, 1)
+        values = {"ratio": ratio, "freedom": freedom, "usual": usual}
+        return Overdispersion(**{name: float(x) for name, x in values.items()})
 
     def with_held(self, held):
         """Hold other declared friction terms at zero, see `Problem`."""

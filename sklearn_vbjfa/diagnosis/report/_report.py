@@ -91,7 +91,7 @@ class Report:
         contradictions = [say("contradiction")] if findings["contradictions"] else []
         kinds = ("gains_unknown", "gains_hidden", "masses_unused")
         kinds = kinds if robot["gains"] else ("far_masses",)
-        values = filter(None, map(say, ("bodies_apart", *kinds)))
+        values = filter(None, map(say, ("law_fails", "bodies_apart", *kinds)))
         uninformative = [c.message for c in channels if c.severity == "warning"]
         export = self.outcome.provenance.get("export", ())
         return (*faults, *contradictions, *joints, *values, *uninformative, *export)

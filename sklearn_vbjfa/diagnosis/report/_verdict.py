@@ -170,6 +170,10 @@ def _uses(outcome, faults, joints, rose):
     """Decide on the uses of an outcome, a tuple of `Use`; reasons are codes."""
     overall = "faulty" if faults else ""
     overall = overall or ("contradiction" if outcome.findings["contradictions"] else "")
+    # Commands cannot act more than a row before they are logged.
+    delays = [x for x in outcome.facts_of("parameter") if x.name == "drive:delay"]
+    early = any(x.interval[1] * outcome.provenance["rate"] < -1.0 for x in delays)
+    overall = overall or "early" * early
     large = [joint.joint for joint in outcome.errors if joint.after > _LARGE]
     fifth = [x.joint for x in outcome.errors if _FIFTH < x.after <= _LARGE]
     effects = (*outcome.findings["effects"], *outcome.findings["possible"])
@@ -183,7 +187,12 @@ def _uses(outcome, faults, joints, rose):
     wrong = {"gain": gains} if gains and outcome.robot["drive"] else {}
     export, drive = outcome.provenance.get("export", ()), outcome.robot["drive"] or {}
     unstable = any(text.startswith(UNSTABLE) for text in export)
+    # A wrong law leaves a residual, and errors of the torque that are larger.
     followed = drive.get("kind") == PDDrive.__name__
+    doubtful = [x.joint for x in joints if followed and x.status in _ABOVE_NOISE]
+    excess = outcome.column("after") ** 2 - np.nan_to_num(outcome.column("floor")) ** 2
+    poor = [j for j in doubtful if excess[j] > _FIFTH**2]
+    noted["unconfirmed"] = doubtful
     uses = []
     for name, forbidden in (
         ("feedforward", _UNTRUSTED),
@@ -191,6 +200,8 @@ def _uses(outcome, faults, joints, rose):
         ("collision detection", _UNTRUSTED + _ABOVE_NOISE),
     ):
         causes = {overall: []} if overall else dict(wrong)
+        if name == "feedforward" and poor and not overall:
+            causes["law"] = poor
         for verdict in joints if not overall else ():
             # A joint with a large held-out error does not reproduce its fit.
             code = verdict.status if verdict.status in forbidden else verdict.detail
@@ -205,10 +216,12 @@ def _uses(outcome, faults, joints, rose):
             elif name == "collision detection":
                 qualified["far"] = [x.joint for x in joints if x.detail == "far"]
             causes |= {code: x for code, x in qualified.items() if x}
-            if name == "simulation" and export:
-                causes["followed" if unstable else "approximate"] = []
+            if followed:
+                causes["followed" if name == "simulation" else "by law"] = []
+            if name == "simulation" and export and not unstable:
+                causes["approximate"] = []
         uses.append(Use(name=name, allowed=allowed, causes=tuple(causes.items())))
-    return (*uses, *_masses(outcome, overall))
+    return (*uses, *_masses(outcome, overall, "by law" * followed))
 
 
 def _joints_with(outcome, *kinds):
@@ -217,7 +230,7 @@ def _joints_with(outcome, *kinds):
     return {e.joint for e in effects if e.scope == "joint"}
 
 
-def _masses(outcome, whole):
+def _masses(outcome, whole, condition):
     """Return uses for the link masses: identified ones, and the others."""
     bodies, gains = outcome.facts_of("mass"), outcome.robot["gains"]
     if gains is not None and not gains.absolute:
@@ -228,7 +241,7 @@ def _masses(outcome, whole):
     for names, reason in ((identified, ""), (others, whole or "masses")):
         if names:
             some = f" of {words.join(names, 3)}" if identified and others else ""
-            causes = ((reason, []),) if reason else ()
+            causes = ((reason or condition, []),) if reason or condition else ()
             name = f"link masses{some}"
             uses.append(Use(name=name, allowed=not reason, causes=causes))
     return tuple(uses)

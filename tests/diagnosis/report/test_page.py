@@ -181,15 +181,9 @@ def test_page_shows_the_provenance(html):
     result = made()
     result = replace(result, provenance=result.provenance | {"file": files})
     text = section_of(Report(result), "Provenance and method")
-    for fact in (
-        *files,
-        "4000 samples, 20 s, 2 recordings (slow and fast)",
-        "200 Hz",
-        "arm.urdf",
-        "finger_left",
-        "Torque of joint 1 is coarse.",
-        "Another warning.",
-    ):
+    facts = "4000 samples, 20 s, 2 recordings (slow and fast)", "200 Hz", "arm.urdf"
+    more = "finger_left", "Torque of joint 1 is coarse.", "Another warning."
+    for fact in (*files, *facts, *more):
         assert fact in text
     for name in FILES:
         assert f'<a href="{name}">{name}</a>' in html

@@ -101,19 +101,10 @@ def test_insignificant_differences_keep_the_status():
 
 def test_each_joint_has_a_verdict():
     after = np.array([0.05, 1.3, 3.0, 0.05])
-    report = Report(
-        make_outcome(
-            nv=4,
-            n_effects=0,
-            enough=np.array([True, True, False, True]),
-            seconds=np.array([9.0, 9.0, 0.31, 9.0]),
-            before=after,
-            after=after,
-            floor=np.full(4, 0.05),
-            searched=np.array([True, True, True, False]),
-            intervals={},
-        )
-    )
+    changes = {"nv": 4, "n_effects": 0, "intervals": {}, "floor": np.full(4, 0.05)}
+    changes |= {"before": after, "after": after, "seconds": [9.0, 9.0, 0.31, 9.0]}
+    enough, searched = [True, True, False, True], [True, True, True, False]
+    report = Report(make_outcome(enough=enough, searched=searched, **changes))
     kinds = ["floor", "failed", "few", "unsearched"]
     assert [v.status for v in report.joints] == kinds
     assert "0.31 s" in report.joints[2].text
@@ -195,14 +186,8 @@ def test_effects_of_undetermined_form_are_marked():
 @pytest.mark.parametrize("render", [line_of, text_of])
 def test_an_effect_has_value_gain_odds_and_rivals(render):
     text = render(Report(make_outcome(nv=3, n_effects=1)))
-    for fact in (
-        "load-dependent friction",
-        "joint 2",
-        "mu = 0.112 +- 0.011",
-        "46 %",
-        "3600 : 1",
-        "friction with memory",
-    ):
+    facts = "load-dependent friction", "joint 2", "mu = 0.112 +- 0.011", "46 %"
+    for fact in (*facts, "3600 : 1", "friction with memory"):
         assert fact in text
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
+from sklearn_vbjfa.diagnosis.explain import Fact
 from sklearn_vbjfa.inspection import JointMotion
 from sklearn_vbjfa.robot._exports import UNSTABLE
 from tests.diagnosis.report._outcomes import changed, finding, make_outcome
@@ -40,6 +41,29 @@ def test_findings_of_the_export_qualify_the_simulation():
         assert report.to_dict()["warnings"] == [warning]
 
 
+@pytest.mark.parametrize(
+    ("delay", "error", "status", "allowed", "warning"),
+    [
+        (0.008, 0.1, "floor", (1, 1, 1), "none"),
+        (-0.004, 0.3, "floor", (1, 1, 1), "none"),
+        (-0.03, 0.1, "floor", (0, 0, 0), "more than a sample period before"),
+        (0.008, 0.1, "unknown", (1, 1, 0), "noise floor unknown"),
+        (0.008, 0.3, "unknown", (0, 1, 0), "more than a fifth of the torque"),
+    ],
+)
+def test_uses_of_a_control_law(delay, error, status, allowed, warning):
+    fact = {"kind": "parameter", "name": "drive:delay", "joint": None, "value": delay}
+    fact = Fact(interval=(delay - 1e-4, delay + 1e-4), **fact)
+    errors = dict.fromkeys(("before", "after", "plain"), np.full(6, error))
+    errors["floor"] = np.full(6, error if status == "floor" else np.nan)
+    changes = errors | {"drive": {"kind": "PDDrive"}, "facts": (fact,)}
+    report = Report(make_outcome(channels=(), n_effects=0, **changes))
+    assert tuple(use.allowed for use in report.uses[:3]) == allowed
+    assert warning in " ".join(report.warnings or ("none",))
+    assert ("if the drive follows this law" in report.uses[0].reason) == allowed[0]
+    assert ("not confirmed" in report.uses[1].reason) == (status == "unknown")
+
+
 def test_effects_without_simulation_qualify_the_simulation():
     outcome = make_outcome(channels=(), n_effects=1)
     (effect,) = outcome.findings["effects"]
@@ -50,11 +74,10 @@ def test_effects_without_simulation_qualify_the_simulation():
 def test_motion_in_one_direction_qualifies_the_uses():
     known = {"lowest": -1.0, "highest": 1.0, "fastest": 1.0, "torques": (-1.0, 1.0)}
     known |= {"slides": False, "shows": (), "hides": ()}
+    turns = enumerate([(9, 0), (0, 0), (9, 0), (0, 1), (9, 0), (9, 0)], 1)
     motion = [
-        JointMotion(name=f"joint{j + 1}", reversals=turns, resting=resting, **known)
-        for j, (turns, resting) in enumerate(
-            zip([9, 0, 9, 0, 9, 9], [0, 0, 0, 1, 0, 0])
-        )
+        JointMotion(name=f"joint{j}", reversals=count, resting=resting, **known)
+        for j, (count, resting) in turns
     ]
     report = Report(make_outcome(channels=(), motion=motion))
     assert all(allowed_uses(report).values())

@@ -84,10 +84,6 @@ class FinalFit:
         """Return columns (m, nv, k) of an effect, for the completed model's load."""
         return self.view.in_equations(effect, self.motion)
 
-    def columns(self):
-        """Return the regressor of the completed model, (m, nv, p)."""
-        return np.concatenate([self.view.equations.Phi, self.added], axis=2)
-
     def predicted(self, theta):
         """Predict torques of the completed model for some parameters, (m, nv)."""
         theta = self.identifier.robot_.linear_part(theta)

@@ -47,8 +47,9 @@ class RecordingMoments:
     """Second moments of the equations of each joint, by thirds of recordings."""
 
     # The design matrix of a joint holds its nonzero columns, an offset, viscous and
-    # Coulomb friction, and the torque. `moments` is a list over joints of (n_parts, k,
-    # k); `recording` (n_parts,) is the recording of each part, which may be empty.
+    # Coulomb friction, the encoder zeros of all joints, and the torque. `moments` is a
+    # list over joints of (n_parts, k, k); `recording` (n_parts,) is that of each part,
+    # which may be empty.
 
     @classmethod
     def of(cls, fit):
@@ -59,25 +60,23 @@ class RecordingMoments:
     def __init__(self, fit):
         self.view, self.features = fit.view, fit.identifier.features_
         self.nv, self.used = self.view.nv, self.view.precision > 0
-        self._theta, weight = fit.identifier.theta_, self.view.equations.weight
-        Phi, tau = fit.columns(), self.view.equations.tau
+        self.further = 3 + self.nv  # columns of each design, besides the regressor's
+        weight, tau = self.view.equations.weight, self.view.equations.tau
+        Phi = np.concatenate([self.view.equations.Phi, fit.added], axis=2)
         # numbers: those of the recordings of which rows were selected.
         self.numbers, self.origin = np.unique(self.view.origin, return_inverse=True)
         self.count = self.numbers.size
         self.recording = np.repeat(np.arange(self.count), _PARTS)
         self.columns = [np.flatnonzero(row) for row in (Phi != 0).any(axis=0)]
-        self._designs = []
+        motion, self._designs = self.view.motion_of(fit.identifier.theta_), []
+        zeros = [self.view.in_equations(JointZero(k), motion) for k in range(self.nv)]
         for j, at in enumerate(self.columns):
             terms = [fit.in_equations(e(joint=j)) for e in (Offset, Viscous, Coulomb)]
-            columns = Phi[:, :, at], *terms, tau[:, :, None]
+            columns = Phi[:, :, at], *terms, *zeros, tau[:, :, None]
             self._designs.append(np.concatenate([x[:, j] for x in columns], axis=1))
         # Contiguous thirds: slow noise would correlate interleaved blocks.
-        self._part = np.zeros(self.origin.size, dtype=int)
-        for r in range(self.count):
-            rows = self.origin == r
-            place = np.unique(self.view.spans.label[rows], return_inverse=True)[1]
-            third = place * _PARTS // max(place[-1] + 1, _PARTS)
-            self._part[rows] = _PARTS * r + third
+        time = np.arange(self.origin.size)
+        self._part = _thirds(self.origin, time, weight.sum(axis=1))
         self.moments = [self.moments_of(j, self._part) for j in range(self.nv)]
         masks = (self._part == p for p in range(self.recording.size))
         self.weights = np.array([weight[m].sum(axis=0) for m in masks])
@@ -91,20 +90,9 @@ class RecordingMoments:
             self._prior[0][rigid, rigid] = metric
             self._prior[1][rigid] = metric @ described[1][rigid]
 
-    @functools.cached_property
-    def with_zeros(self):
-        """Moments of parts by joint; columns of encoder zeros precede torques."""
-        motion, moments = self.view.motion_of(self._theta), []
-        zeros = (self.view.in_equations(JointZero(k), motion) for k in range(self.nv))
-        zeros = np.concatenate([*zeros], axis=2)
-        for j, design in enumerate(self._designs):
-            rows = np.insert(design, [-1] * self.nv, zeros[:, j], axis=1)
-            moments.append(self.moments_of(j, self._part, rows))
-        return moments
-
-    def moments_of(self, j, part, rows=None):
+    def moments_of(self, j, part):
         """Compute moments of the design of a joint, for each part (n_parts, k, k)."""
-        rows = self._designs[j] if rows is None else rows
+        rows = self._designs[j]
         weighted = rows * self.view.equations.weight[:, [j]]
         masks = (part == p for p in range(self.recording.size))
         return np.array([weighted[m].T @ rows[m] for m in masks])
@@ -125,7 +113,7 @@ class RecordingMoments:
         """Return weighted squared errors (nv,) on chosen parts, of a fit to others."""
         errors, (_, theta) = [], self.solve(fitted)
         for columns, moments in zip(self.columns, self.moments):
-            v = np.r_[-theta[columns], 0.0, 0.0, 0.0, 1.0]
+            v = np.r_[-theta[columns], np.zeros(self.further), 1.0]
             errors.append(v @ moments[chosen].sum(axis=0) @ v)
         return np.maximum(errors, 0.0)
 
@@ -146,12 +134,9 @@ class RecordingMoments:
         """Squared errors on held-out parts of each recording, (2, r, nv)."""
         # Of fits to the rest of the recording, and to the rest of all recordings.
         squares = np.zeros((2, self.count, self.nv))
-        filled = np.bincount(self._part, minlength=self.recording.size) > 0
         for test, r in zip(np.eye(self.recording.size, dtype=bool), self.recording):
-            same = self.recording == r
-            if filled[same].all():
-                squares[0, r] += self.squares(test, same & ~test)
-                squares[1, r] += self.squares(test, ~test)
+            squares[0, r] += self.squares(test, (self.recording == r) & ~test)
+            squares[1, r] += self.squares(test, ~test)
         return squares
 
     @functools.cached_property
@@ -173,9 +158,8 @@ class RecordingMoments:
 
     def alone(self, spread):
         """Return errors (nv,) on held-out parts, of fits within recordings."""
-        squares = self._held_out_squares[0]
-        rows = self.weights[squares.any(axis=1)[self.recording]].sum(axis=0)
-        return _relative(squares.sum(axis=0), rows, spread)
+        squares = self._held_out_squares[0].sum(axis=0)
+        return _relative(squares, self.weights.sum(axis=0), spread)
 
     def inconsistent(self, spread):
         """Return errors of both fits, by (recording, joint) with a worse common fit."""
@@ -234,9 +218,11 @@ class _Deviations:
         self._noise = np.where(used, total / or_one(squares), 0.0)
         self._eigen, self._theta = parts.solve(chosen, self._noise)
         others = parts.solve(chosen & ~self._rows)[1]
-        self._columns = [np.eye(x.size + 3, _COLUMNS, -x.size) for x in parts.columns]
-        for columns, at in zip(self._columns, parts.columns):
-            columns[: at.size, 3] = others[at]
+        self._columns = []
+        for at in parts.columns:
+            terms = np.eye(at.size + parts.further, 3, -at.size)
+            torque = np.pad(others[at], (0, parts.further))
+            self._columns.append(np.column_stack([terms, torque]))
 
     def _fitted(self, added, shared=False):
         """Fit added columns by joints; return the gain, theta and coefficients."""
@@ -246,12 +232,12 @@ class _Deviations:
         k = max((A.shape[1] for A in added.values()), default=0)
         cross, H, h = np.zeros((self._theta.size, k)), np.zeros((k, k)), np.zeros(k)
         for j, A in added.items():
-            columns, n = self._parts.columns[j], len(A)
-            moments = self._noise[j] * self._parts.with_zeros[j][self._rows].sum(axis=0)
-            GA = moments[:n, :n] @ A
+            columns = self._parts.columns[j]
+            moments = self._noise[j] * self._parts.moments[j][self._rows].sum(axis=0)
+            GA = moments[:-1, :-1] @ A
             cross[columns] += GA[: columns.size]
             H += A.T @ GA
-            h += A.T @ moments[:n, -1]
+            h += A.T @ moments[:-1, -1]
         # Schur complement: theta is eliminated.
         solution = self._eigen.solve(cross)
         H, h = H - cross.T @ solution, h - cross.T @ self._theta
@@ -308,20 +294,20 @@ class _Deviations:
 
     def _cause(self, joints, unit):
         """Choose the cause of highest evidence (Schwarz), with values by joints."""
-        parts = self._parts
-        trials = []
+        parts, trials, pad = self._parts, [], (0, self._parts.further)
         for name, chosen in _CAUSES.items():
             own = {j: self._columns[j][:, chosen] for j in joints}
             trials.append((name, None, own))
         # A shifted encoder zero, and a payload on the last body of a branch act on
         # several joints.
+        every = [np.pad(x, pad, constant_values=-1) for x in parts.columns]
         for k in range(parts.nv):
-            zero = [np.eye(x.size + 4 + k, 1, -x.size - 3 - k) for x in parts.columns]
+            zero = [np.eye(x.size, 1, parts.nv - k - x.size) for x in every]
             trials.append(("zero", k, dict(enumerate(zero))))
         for body in end_joints(parts.features.model_):
             indices = parts.features.n_parameters_ // parts.nv * body + np.arange(10)
-            load = [np.equal.outer(np.r_[x, [-1] * 3], indices) for x in parts.columns]
-            trials.append(("payload", None, dict(enumerate(map(np.float64, load)))))
+            load = (np.equal.outer(x, indices).astype(float) for x in every)
+            trials.append(("payload", None, dict(enumerate(load))))
         best, choice = -np.inf, None
         for name, joint, columns in trials:
             gain, _, coef = self._fitted(columns, shared=name not in _CAUSES)

@@ -189,19 +189,19 @@ def test_several_contradictions_are_found():
 
 def test_contradiction_errors_match_separate_fits():
     fit, result = compare(PAIR, gain)
-    view, label, origin = fit.view, fit.view.blocks.label, fit.view.origin
+    view, origin = fit.view, fit.view.origin
     worst = max(result, key=lambda x: x.together)
     rows_of_worst = np.flatnonzero(origin == worst.recording)
-    blocks = np.unique(label[rows_of_worst])
-    fold = np.arange(blocks.size) * 3 // blocks.size
+    motion = view.equations.weight[rows_of_worst].sum(axis=1).cumsum()
+    thirds = np.split(rows_of_worst, np.searchsorted(3 * motion / motion[-1], [1, 2]))
     Phi, tau = view.equations.Phi, view.equations.tau
     weight = view.equations.weight * view.precision
     size = np.linalg.norm(Phi.reshape(-1, Phi.shape[2]), axis=0)
 
     def squares(kept):
         total = 0.0
-        for k in range(3):
-            out = np.isin(label, blocks[fold == k])
+        for third in thirds:
+            out = np.isin(np.arange(origin.size), third)
             rows = kept & ~out
             root = np.sqrt(weight[rows])[:, :, None]
             A = (Phi[rows] * root).reshape(-1, Phi.shape[2]) / np.maximum(size, 1e-9)

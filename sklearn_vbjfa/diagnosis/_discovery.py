@@ -335,9 +335,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         lowpass = self.baseline_.robot_.plan.lowpass
         moving = split.moving[split.rows]
         chosen, pieces = stretches(part.segments, moving, lowpass)
-        thinned = split
-        if chosen.size < split.rows.size:
-            thinned = replace(split, rows=split.rows[chosen], pieces=pieces)
+        thinned = replace(split, rows=split.rows[chosen], pieces=pieces)
         say("search")
         keywords = {"origin": whole.groups[thinned.rows], **timing}
         searched = thinned.searched(whole)

@@ -12,6 +12,8 @@ from sklearn_vbjfa.equations._equations import torque_spread
 
 # Duration of the motion for which errors are predicted [s].
 NEXT_SECONDS = 50.0
+# Quantile of the absolute residuals that is the threshold of collision detection.
+_QUANTILE = 0.999
 # Number of the lowest cosines whose mean square estimates the long-run variance. Few of
 # them keep the variance of slow residuals, and Student's t accounts for their number
 # (equal-weighted cosines with fixed-b critical values: Lazarus, Lewis, Stock, Watson,
@@ -43,7 +45,7 @@ def held_out_errors(loop, search, split, thinned, whole):
     rows = np.r_[guarded.stretches]
     own_weights, held_out = residuals(guarded.held_out(whole), rows)
     fitted, searched = residuals(thinned.searched(whole), thinned.rows, used)
-    if thinned is not split:
+    if thinned.rows.size < split.rows.size:
         searched_rows = split.searched(whole)
         fitted = {plain: plain.robot_.residuals_of(searched_rows, predicts=False)}
     spread = torque_spread(fitted[plain], own_weights[declared])
@@ -53,6 +55,9 @@ def held_out_errors(loop, search, split, thinned, whole):
         pairs = ((x[model], x[completed]) for x in (held_out, searched))
         return error_intervals(*pairs, spread, view.step)
 
+    used_rows = zip(np.abs(held_out[completed].residual).T, weight.T > 0)
+    sizes = (size[rows] for size, rows in used_rows)
+    thresholds = [np.quantile(x, _QUANTILE) if x.size else np.nan for x in sizes]
     # A weight is largest in rows whose whole filter window is in motion.
     full = np.maximum(weight.max(axis=0), np.finfo(float).tiny)
     seconds = (weight / full).sum(axis=0) * view.step
@@ -63,6 +68,7 @@ def held_out_errors(loop, search, split, thinned, whole):
             "plain": held_out[plain].relative_error(spread),
             "after": held_out[completed].relative_error(spread),
             "spread": spread,
+            "threshold": np.array(thresholds),
             "seconds": seconds,
             "enough": values >= FEWEST_VALUES,
             "searched": used,

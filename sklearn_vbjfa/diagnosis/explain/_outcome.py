@@ -33,8 +33,6 @@ from sklearn_vbjfa.robot._posterior import body_indices
 
 # Limits that count as unlimited.
 _UNLIMITED = 1e3
-# Quantile of the absolute residuals that is the threshold of collision detection.
-_QUANTILE = 0.999
 # Number of joints whose curves are drawn, those with the largest errors.
 _N_DRAWN = 3
 
@@ -113,69 +111,51 @@ def make_outcome(loop, search, final, judged, channels, whole):
     # The models of the loop were fitted to the rows of the search, `final` to all data;
     # `judged` is returned by `held_out_errors`; `whole` is all data.
     identifier, columns = final.identifier, judged["columns"]
-    spread, after = columns["spread"], columns["after"]
-    prismatic = is_prismatic(identifier.features_.model_)
+    names, spread, after = identifier.joint_names_, columns["spread"], columns["after"]
     # The final fit has the most data; missing effects raise the declared one's floor.
     floor = identifier.noise_floor_
     floor = np.where(np.isfinite(floor), floor, loop.validation_model_.noise_floor_)
     with np.errstate(divide="ignore", invalid="ignore"):
-        columns |= {"floor": floor / spread}
-        low, high = judged["intervals"]["after"]
-        scatter = np.log(high / low) / (2 * HALF_WIDTH)
-    parts = RecordingMoments.of(final)
-    left_out, alone = np.empty((0, spread.size)), after
-    if parts is not None:
-        left_out, alone = parts.left_out(spread), parts.alone(spread)
-    states, weight = final.view.states[final.view.index], final.view.equations.weight
-    predicted = final.predicted(identifier.theta_) / final.view.gains
-    gains = np.abs(identifier.features_.gains_)
-    motion = motion_statistics(identifier, states, predicted, weight, spread / gains)
-    timed = any(isinstance(effect, OfTime) for effect in identifier.effects_)
-    data = columns["floor"], scatter, left_out, alone, motion, timed
-    expectation = ExpectedError(after, *data)
+        columns["floor"] = floor / spread
+    parts, low = RecordingMoments.of(final), judged["intervals"]["after"][0]
+    expectation = _expectation(final, parts, columns, judged["intervals"]["after"])
     noise, enough = low <= ABOVE_FLOOR[0] * columns["floor"], columns["enough"]
     good = noise & enough, (noise | (after < WELL) | ~enough) & enough.any()
-    channels = tuple(c for c in channels if not is_refuted(c, *good))
-    names, errors = identifier.joint_names_, np.where(enough, after, np.nan)
-    differing = contradictions(parts, spread, loop.alpha)
+    errors = np.where(enough, after, np.nan)
     least = np.fmin(columns["before"], columns["plain"])
     rose = rises(errors, least, columns["floor"])
     rising = np.where(rose, errors - least, np.fmin(errors - least, 0.0))
+    differing = contradictions(parts, spread, loop.alpha)
     hidden = not_identifiable(search, names)
     doubts = {x.joint for x in differing}, rising, hidden
+    prismatic = is_prismatic(identifier.features_.model_)
     effects = tuple(discovered_effects(search, final, names, prismatic, *doubts))
-    judged_effects = loop.validation_model_.effects_
-    parameters = parameter_values(identifier)
-    masses = _masses(identifier, parameters)
-    units = np.where(prismatic, "N", "N m").tolist()
+    gains, units = np.abs(identifier.features_.gains_), np.where(prismatic, "N", "N m")
     if identifier.gains_ is not None and not identifier.gains_.absolute:
         gains, recorded = np.ones(spread.size), whole.torque_units
         units = ["channel units" if x in ("N m", "N", "") else x for x in recorded]
-    columns |= {"spread": spread / gains, "threshold": np.full(spread.size, np.nan)}
     residuals = [
         replace(x, torque=x.torque / gains, predicted=x.predicted / gains)
         for x in judged["residuals"]
     ]
-    used, size = residuals[1].weight > 0, np.abs(residuals[1].residual)
-    for j in np.flatnonzero(used.any(axis=0)):
-        columns["threshold"][j] = np.quantile(size[used[:, j], j], _QUANTILE)
-    sizes = spread, floor, gains
-    intervals = {key: zip(*ends.tolist()) for key, ends in judged["intervals"].items()}
     columns |= {"joint": range(spread.size), "name": names, "unit": units}
     columns |= {"position_unit": np.where(prismatic, "m", "rad")}
+    columns |= {key: columns[key] / gains for key in ("spread", "threshold")}
+    intervals = {key: zip(*ends.tolist()) for key, ends in judged["intervals"].items()}
+    columns["intervals"] = _rows(intervals)
+    sizes, parameters = (spread, floor, gains), parameter_values(identifier)
+    masses = _masses(identifier, parameters)
+    judged_effects = loop.validation_model_.effects_
     worst = np.argsort(-np.nan_to_num(after, nan=-1), kind="stable")[:_N_DRAWN].tolist()
     outcome = Outcome(
-        errors=tuple(
-            JointErrors(intervals=ends, **row)
-            for ends, row in zip(_rows(intervals), _rows(columns))
-        ),
+        errors=tuple(JointErrors(**row) for row in _rows(columns)),
         findings={
             "effects": tuple(e for e in effects if not e.warning),
             "possible": tuple(e for e in effects if e.warning),
             "unnamed": tuple(e for e in judged_effects if isinstance(e, UnnamedTorque)),
             "unexplained": unexplained(search, names, sizes, errors, low),
             "not_identifiable": hidden,
-            "channels": channels,
+            "channels": tuple(c for c in channels if not is_refuted(c, *good)),
             "contradictions": differing,
             "repeated": final.view.repetition.repeated,
             "departures": identifier.mass_deviations_,
@@ -194,11 +174,28 @@ def make_outcome(loop, search, final, judged, channels, whole):
             "seconds": float(whole.n_samples * whole.dt),
             "rate": float(1.0 / whole.dt),
             "looked_at": judged["looked_at"],
-            "left_out": len(left_out),
+            "left_out": expectation.recordings,
             "settings": _settings(loop, search) | judged["settings"],
         },
     )
     return outcome, expectation
+
+
+def _expectation(final, parts, columns, interval):
+    """Return the `ExpectedError` of a final fit, from its errors."""
+    identifier, error, spread = final.identifier, columns["after"], columns["spread"]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scatter = np.log(interval[1] / interval[0]) / (2 * HALF_WIDTH)
+    left_out, alone = np.empty((0, spread.size)), error
+    if parts is not None:
+        left_out, alone = parts.left_out(spread), parts.alone(spread)
+    states, weight = final.view.states[final.view.index], final.view.equations.weight
+    predicted = final.predicted(identifier.theta_) / final.view.gains
+    spread = spread / np.abs(identifier.features_.gains_)
+    motion = motion_statistics(identifier, states, predicted, weight, spread)
+    timed = any(isinstance(effect, OfTime) for effect in identifier.effects_)
+    data = columns["floor"], scatter, left_out, alone, motion, timed
+    return ExpectedError(error, *data)
 
 
 def _robot(loop, search, identifier, whole):

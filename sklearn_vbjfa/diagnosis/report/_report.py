@@ -99,15 +99,7 @@ class Report:
     @property
     def has_open_questions(self):
         """Whether another motion could answer open questions of this recording."""
-        findings = self.outcome.findings
-        if self.status == "faulty" or findings["contradictions"]:
-            return False
-        return bool(
-            findings["unexplained"]
-            or findings["repeated"]
-            or any(effect.trials for effect in findings["effects"])
-            or any(x.reason == "excitation" for x in findings["not_identifiable"])
-        )
+        return bool(self._renderer.values["wanted"])
 
     def __reduce__(self):
         # Templates cannot be pickled.

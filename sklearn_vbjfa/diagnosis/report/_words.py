@@ -103,8 +103,6 @@ whole_percent = functools.partial(percent, digits=0)
 
 
 def p_text(value):
-    if value is None or not math.isfinite(value):
-        return "p unknown"
     if value < _MIN_P:
         return "p < 1e-12"
     return f"p = {number(value, 1 if value < 0.01 else 2)}"
@@ -112,8 +110,6 @@ def p_text(value):
 
 def odds_text(log_odds):
     """Format odds, given their logarithm: "350 : 1"."""
-    if not math.isfinite(log_odds):
-        return "unknown"
     if abs(log_odds) > _MAX_LOG_ODDS:
         return "> 1e6 : 1" if log_odds > 0 else "< 1 : 1e6"
     odds = f"{number(math.exp(abs(log_odds)), 2)}"

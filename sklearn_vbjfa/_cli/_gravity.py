@@ -54,6 +54,7 @@ def correct(arguments, folder):
         # Unknown numbers become null.
         "joints": json.loads(joints.to_json(orient="records", double_precision=15)),
         "links": [asdict(link) for link in robot.mass_deviations_],
+        "common_size": robot.common_size_,
         "payload": result.payload,
         "unchecked": joints["joint"][unchecked].tolist(),
         "poses_enough": enough,

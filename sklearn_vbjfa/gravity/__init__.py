@@ -247,13 +247,18 @@ def static_samples(recording, features):
     parabola = np.linalg.pinv(np.vander(t, 3, increasing=True) * [1.0, 1.0, 0.5])
     q, v, a = np.einsum("sk,mkj->smj", parabola, recording.q[rows])
     still = np.abs(v) <= _REST * np.quantile(np.abs(v), 0.995, axis=0)
+    # Friction reverses as joints start to move, before its state in these samples.
+    leaving = still & ~np.r_[still[1:], still[-1:]]
+    leaving |= (leaving.any(axis=1) & still.all(axis=1))[:, None]
     # Consecutive windows of one pose form one sample.
-    resting = still.all(axis=1)
+    resting = (still & ~leaving).all(axis=1)
     labels = np.where(resting, recording.groups[rows[:, 0]], -1)
     starts = np.flatnonzero((np.diff(labels, prepend=-1) != 0) | (labels < 0) | one_row)
     tau = np.einsum("k,mkj->mj", parabola[0], recording.tau[rows])
     tau[resting] = recording.tau[rows[resting]].mean(axis=1)
-    signals = np.stack([q, v, a, tau, sign[rows].mean(axis=1), still])
+    sign = sign[rows].mean(axis=1)
+    sign *= ~leaving & (still | (sign * v >= 0))
+    signals = np.stack([q, v, a, tau, sign, still])
     count = np.diff(np.r_[starts, len(q)])[:, None]
     q, v, a, tau, sign, still = np.add.reduceat(signals, starts, axis=1) / count
     # The direction of approach of a single-row pose is unknown.
@@ -266,7 +271,7 @@ def static_samples(recording, features):
     if weight.sum() < _MIN_SAMPLES * weight.shape[1]:
         raise ValueError(
             f"The recording holds fewer than {_MIN_SAMPLES} poses or windows of slow "
-            f"motion: hold poses for {2 * _WINDOW:g} s, or give one row of each, with "
+            f"motion: hold poses for {3 * _WINDOW:g} s, or give one row of each, with "
             f"dt > {_POSE_PERIOD:g} s. {_HINT}"
         )
     slow = weight.any(axis=1)

@@ -25,7 +25,7 @@ AT_ZERO, LEAST_ZERO, FAR_ZERO, POSED_ZERO = 1e-3, 0.05, 0.3, 0.15
 WORST, SIGMAS = 0.3, 5.0
 # Least common factor of all torques that is reported; that of a single torque, which
 # may be large since a geared rotor may exceed its link, and from poses; of commands.
-SCALE, SINGLE, POSED_SCALE, COMMANDED = 2.5, 20.0, 1.6, 10.0
+SCALE, SINGLE, POSED_SCALE, COMMANDED = 2.5, 20.0, 1.2, 10.0
 # Multiple of the limits (median) that torques of another unit exceed, and placeholder.
 BEYOND_LIMITS, NO_LIMIT = 5.0, 1e6
 # Size of a torque of noise against the described one, and its least relative error;

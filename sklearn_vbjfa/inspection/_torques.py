@@ -189,7 +189,8 @@ def separate_scales(reading):
     least = number.POSED_SCALE if reading.poses else number.SCALE**2
     limits = np.where(shown[joints], np.log(least), single)
     is_off = (off < -limits) | (off > limits) & positive[joints]
-    required = np.where(np.abs(off) > single, -np.inf, number.CLEAR_OF_JOINT)
+    clear = number.CLEAR if reading.poses else number.CLEAR_OF_JOINT
+    required = np.where(np.abs(off) > single, -np.inf, clear)
     outliers = list(zip(joints[is_off].tolist(), required[is_off]))
     # Factors that are not shown are replaced by the ratio to the others.
     factors[joints] = np.where(positive[joints], factors[joints], np.exp(off))

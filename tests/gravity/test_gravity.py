@@ -63,8 +63,7 @@ def exported(correction, folder):
 
 
 def assert_corrected(after, world):
-    before = errors(world.before, world)
-    assert np.sqrt((after**2).mean()) < 0.05 * np.sqrt((before**2).mean())
+    assert (after**2).mean() < 0.05**2 * (errors(world.before, world) ** 2).mean()
 
 
 def test_samples_are_the_poses_with_the_side_they_were_reached_from(world):
@@ -110,6 +109,14 @@ def test_held_out_errors_decrease(found):
     assert not found.findings
 
 
+def test_friction_that_reverses_at_once(world, monkeypatch):
+    monkeypatch.setattr("_posed_arms.SLIP", 1e-6)
+    recording = record(world.true, visit(POSES), FRICTION, np.random.default_rng(2))
+    found = correct_gravity(recording, world.described)
+    assert found.friction == pytest.approx(FRICTION, rel=0.03)
+    assert (found.error_after < 0.05).all()
+
+
 def test_a_payload_that_the_description_lacks(world, tmp_path):
     right = tmp_path / "right.urdf"
     true = ARM.write(right)
@@ -125,26 +132,23 @@ def test_one_row_of_each_pose(world):
     q = OTHERS[rows]
     tau = gravity(world.true, q) + np.random.default_rng(5).normal(0, 0.05, q.shape)
     # The time from pose to pose is not that of a motion.
-    one = replace(
-        record(world.true, q, 0 * FRICTION, np.random.default_rng(6)), tau=tau
-    )
-    found = correct_gravity(replace(one, dt=5.0, t=None), world.described)
+    one = record(world.true, q, 0 * FRICTION, np.random.default_rng(6))
+    one = replace(one, tau=tau, dt=5.0, t=None)
+    found = correct_gravity(one, world.described)
     assert found.n_samples == 24
     assert (found.error_after[1:] < 0.3 * found.error_before[1:]).all()
 
 
 def test_poses_from_one_side_leave_friction_unknown(world):
     rising = np.linspace(-2.0, 2.0, 8)[:, None] * [1.0, 0.9, 0.8]
-    recording = record(
-        world.true, visit(rising, False), FRICTION, np.random.default_rng(4)
-    )
+    rng = np.random.default_rng(4)
+    recording = record(world.true, visit(rising, False), FRICTION, rng)
     found = correct_gravity(recording, world.described)
     assert not found.friction_known.any()
-    left = np.sqrt((found.error_after**2).mean())
-    assert left < np.sqrt((found.error_before**2).mean())
+    assert (found.error_after**2).sum() < (found.error_before**2).sum()
 
 
-@pytest.mark.parametrize("factors", [[10.0, 10.0, 10.0], [1.0, 2.0, 1.0]])
+@pytest.mark.parametrize("factors", [[10.0, 10.0, 10.0], [1.0, 1.3, 1.0]])
 def test_factors_of_the_torques_are_warnings(world, factors):
     wrong = replace(world.recording, tau=world.recording.tau * factors)
     with pytest.warns(DoubtWarning, match="times what the described masses require"):
@@ -187,10 +191,9 @@ def test_slow_motion_with_viscous_friction_and_rotors(world, tmp_path):
     q = 1.5 * np.sin([0.5, 0.37, 0.61] * t + [0.0, 1.0, 2.0])
     recording = record(world.true, q, FRICTION, np.random.default_rng(7))
     v = np.gradient(q, 0.01, axis=0)
-    motors = np.array([2.0, 5.0, 3.0]) * v + [2.0, 1.0, 0.5] * np.gradient(
-        v, 0.01, axis=0
-    )
-    recording = replace(recording, tau=recording.tau + motors)
+    a = np.gradient(v, 0.01, axis=0)
+    tau = recording.tau + [2.0, 5.0, 3.0] * v + [2.0, 1.0, 0.5] * a
+    recording = replace(recording, tau=tau)
     found = correct_gravity(recording, world.described)
     # The rotor of a joint with a vertical axis is no mass of its link.
     named = [x for one in found.identifier.mass_deviations_ for x in one.bodies]
@@ -200,16 +203,13 @@ def test_slow_motion_with_viscous_friction_and_rotors(world, tmp_path):
 
 def test_poses_after_a_fit_narrow_its_intervals(world, found):
     # Half of the poses leave wider intervals, which the chosen ones narrow.
-    few = correct_gravity(
-        record(world.true, visit(POSES[:3]), FRICTION, np.random.default_rng(8)),
-        world.described,
-    )
+    rng = np.random.default_rng(8)
+    few = record(world.true, visit(POSES[:3]), FRICTION, rng)
+    few = correct_gravity(few, world.described)
     q, hold = gravity_poses(world.described, 5, fitted=few.identifier)
-    chosen = q[hold > 0][::2]
-    both = visit(np.concatenate([POSES[:3], chosen]))
-    more = correct_gravity(
-        record(world.true, both, FRICTION, np.random.default_rng(9)), world.described
-    )
+    both = visit(np.concatenate([POSES[:3], q[hold > 0][::2]]))
+    more = record(world.true, both, FRICTION, np.random.default_rng(9))
+    more = correct_gravity(more, world.described)
     assert (more.interval <= few.interval).all()
     assert more.interval.max() < 0.7 * few.interval.max()
 

@@ -164,12 +164,11 @@ def motion_statistics(identifier, states, predicted, weight, spread):
     plain = features.declared(states) * theta[:, 10:]
     rotor = [name == RotorInertia.name for name in features.friction_]
     friction = plain[:, :, ~np.array(rotor, dtype=bool)].sum(axis=2)
-    load = identifier.robot_.rigid(*np.split(states, 3, axis=1))
-    load += plain[:, :, rotor].sum(axis=2)
+    q, v, a = np.split(states, 3, axis=1)
+    load = identifier.robot_.rigid(q, v, a) + plain[:, :, rotor].sum(axis=2)
     for effect in identifier.effects_:
         varies = isinstance(effect, Varied) and effect.of != "offset"
         if varies or not {"speed", "direction"}.isdisjoint(effect.depends):
             # All torque but the load counts as friction.
             friction[:, effect.joint] = (predicted[rows] - load)[:, effect.joint]
-    _, v, a = np.split(states, 3, axis=1)
     return MotionStatistics(v, a, load, friction, weight[rows], spread)

@@ -47,9 +47,9 @@ class RecordingMoments:
     """Second moments of the equations of each joint, by thirds of recordings."""
 
     # The design matrix of a joint holds its nonzero columns, an offset, viscous and
-    # Coulomb friction, the encoder zeros of all joints, and the torque. `moments` is a
-    # list over joints of (n_parts, k, k); `recording` (n_parts,) is that of each part,
-    # which may be empty.
+    # Coulomb friction, the encoder zeros of all joints, and the torque. `partitions` is
+    # a list over joints of moments (n_parts, k, k) for thirds of time, position and
+    # speed, `moments` of those of time; `recording` (n_parts,) is that of each part.
 
     @classmethod
     def of(cls, fit):
@@ -68,17 +68,22 @@ class RecordingMoments:
         self.count = self.numbers.size
         self.recording = np.repeat(np.arange(self.count), _PARTS)
         self.columns = [np.flatnonzero(row) for row in (Phi != 0).any(axis=0)]
-        motion, self._designs = self.view.motion_of(fit.identifier.theta_), []
+        # Contiguous thirds: slow noise would correlate interleaved blocks.
+        time = np.arange(self.origin.size)
+        part = _thirds(self.origin, time, weight.sum(axis=1))
+        q, v, _ = np.split(self.view.states[self.view.index], 3, axis=1)
+        motion, self.partitions = self.view.motion_of(fit.identifier.theta_), []
         zeros = [self.view.in_equations(JointZero(k), motion) for k in range(self.nv)]
         for j, at in enumerate(self.columns):
             terms = [fit.in_equations(e(joint=j)) for e in (Offset, Viscous, Coulomb)]
             columns = Phi[:, :, at], *terms, *zeros, tau[:, :, None]
-            self._designs.append(np.concatenate([x[:, j] for x in columns], axis=1))
-        # Contiguous thirds: slow noise would correlate interleaved blocks.
-        time = np.arange(self.origin.size)
-        self._part = _thirds(self.origin, time, weight.sum(axis=1))
-        self.moments = [self.moments_of(j, self._part) for j in range(self.nv)]
-        masks = (self._part == p for p in range(self.recording.size))
+            design = np.concatenate([x[:, j] for x in columns], axis=1)
+            # Parameters fitted with an incomplete model vary with position and speed.
+            signals, w = (q[:, j], np.abs(v[:, j])), weight[:, j]
+            parts = part, *(_thirds(self.origin, x, w) for x in signals)
+            self.partitions.append([self._moments(design, w, x) for x in parts])
+        self.moments = [moments for moments, *_ in self.partitions]
+        masks = (part == p for p in range(self.recording.size))
         self.weights = np.array([weight[m].sum(axis=0) for m in masks])
         # Prior of the bodies, from the description: precision (p, p), times mean (p,).
         p, rigid = Phi.shape[2], slice(self.features.n_parameters_)
@@ -90,10 +95,9 @@ class RecordingMoments:
             self._prior[0][rigid, rigid] = metric
             self._prior[1][rigid] = metric @ described[1][rigid]
 
-    def moments_of(self, j, part):
-        """Compute moments of the design of a joint, for each part (n_parts, k, k)."""
-        rows = self._designs[j]
-        weighted = rows * self.view.equations.weight[:, [j]]
+    def _moments(self, rows, weight, part):
+        """Compute moments of weighted rows, for each part (n_parts, k, k)."""
+        weighted = rows * weight[:, None]
         masks = (part == p for p in range(self.recording.size))
         return np.array([weighted[m].T @ rows[m] for m in masks])
 
@@ -145,32 +149,18 @@ class RecordingMoments:
         masks = [self.recording == r for r in range(self.count)]
         return np.array([self.squares(m, m) for m in masks])
 
-    @functools.cached_property
-    def partitions(self):
-        """Moments for thirds of time, position and speed, a list."""
-        # Parameters fitted with an incomplete model vary with position and speed.
-        nv, states = self.nv, self.view.states[self.view.index]
-        weight, partitions = self.view.equations.weight, [self.moments]
-        for x in (states[:, :nv], np.abs(states[:, nv : 2 * nv])):
-            thirds = (_thirds(self.origin, x[:, j], weight[:, j]) for j in range(nv))
-            partitions.append([*map(self.moments_of, range(nv), thirds)])
-        return partitions
-
     def alone(self, spread):
         """Return errors (nv,) on held-out parts, of fits within recordings."""
         squares = self._held_out_squares[0].sum(axis=0)
         return _relative(squares, self.weights.sum(axis=0), spread)
 
     def inconsistent(self, spread):
-        """Return errors of both fits, by (recording, joint) with a worse common fit."""
+        """Return errors (2, r, nv) of both fits, nan unless the common one is worse."""
         squares = self._held_out_squares
         rows = self.weights.reshape(self.count, _PARTS, -1).sum(axis=1)
         errors = _relative(squares, rows, spread)
         better = (errors[1] > 0) & (squares[0] <= _RATIO * squares[1])
-        return {
-            (r, j): dict(zip(("alone", "together"), errors[:, r, j].tolist()))
-            for r, j in np.argwhere(better).tolist()
-        }
+        return np.where(better, errors, np.nan)
 
 
 def _relative(squares, rows, spread):
@@ -181,13 +171,13 @@ def _relative(squares, rows, spread):
 
 def contradictions(parts, spread, alpha):
     """Find each `Contradiction` between recordings; none if parts is None."""
-    errors = {} if parts is None else parts.inconsistent(spread)
-    if not errors:
+    if parts is None:
         return ()
-    joints = sorted({j for _, j in errors})
+    errors = parts.inconsistent(spread)
+    joints = np.flatnonzero(np.isfinite(errors[1]).any(axis=0)).tolist()
     # A deviating recording makes others inconsistent, and need not fit itself well.
     remaining, removed = list(range(parts.count)), []
-    while remaining:
+    while joints and remaining:
         trials = {r: _Deviations(parts, r, remaining) for r in remaining}
         r = max(trials, key=lambda r: trials[r].gain(joints))
         if not any(trials[r].test(j)[1] < alpha for j in joints):
@@ -255,8 +245,8 @@ class _Deviations:
         fitted = np.zeros((self._rows.size, A.shape[0], 1))
         fitted[:, :n, 0] = theta[self._parts.columns[j]]
         fitted[self._rows, :, 0] += A @ coef
-        for moments in self._parts.partitions:
-            M = self._noise[j] * moments[j]
+        for moments in self._parts.partitions[j]:
+            M = self._noise[j] * moments
             scores = (M[:, :-1, -1:] - M[:, :-1, :-1] @ fitted)[:, :, 0] @ A
             grams, total = A.T @ M[:, :-1, :-1] @ A, np.zeros(2)
             for rows in (self._parts.recording == r for r in self._recordings):
@@ -285,12 +275,12 @@ class _Deviations:
         tested = {j: x for j, x in tested.items() if x[1] < alpha}
         unit = max((unit for *_, unit in tested.values()), default=1.0)
         cause, of, values = self._cause(tested, unit)
+        number = int(self._parts.numbers[self._recording])
         for j, (_, p_value, _) in tested.items():
-            about = {"cause": cause, "of": of, "p_value": p_value, "joint": j}
-            about |= {"alone": np.nan, "together": np.nan}
-            about |= errors.get((self._recording, j), {})
-            about["recording"] = int(self._parts.numbers[self._recording])
-            yield Contradiction(value=values.get(j, np.nan), **about)
+            alone, together = errors[:, self._recording, j].tolist()
+            about = {"alone": alone, "together": together, "cause": cause, "of": of}
+            about |= {"joint": j, "value": values.get(j, np.nan), "p_value": p_value}
+            yield Contradiction(recording=number, **about)
 
     def _cause(self, joints, unit):
         """Choose the cause of highest evidence (Schwarz), with values by joints."""

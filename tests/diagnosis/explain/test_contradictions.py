@@ -102,6 +102,8 @@ def test_model_errors_neither_cause_nor_hide_contradictions():
         return fault(k, torque, recording) + [0.0, 0.12 * torque[:, 1].std() * (k == 1)]
 
     assert compare(FOUR, fault)[1] == ()
+    pair = [record("ZY", seed=k, duration=20.0, size=22 / k) for k in (22, 44)]
+    assert compare(pair, lambda k, torque, r: torque + r.q**3)[1] == ()
     assert keys(compare(FOUR, with_offset)[1]) == {("offset", 1, 1)}
 
 

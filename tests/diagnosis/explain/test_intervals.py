@@ -15,7 +15,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     error_intervals,
     named_values,
 )
-from sklearn_vbjfa.diagnosis.report._words import parameter_text
+from sklearn_vbjfa.diagnosis.report import words
 from sklearn_vbjfa.effects import AsymmetricFriction, Spring, Stribeck
 from sklearn_vbjfa.equations import TorqueResiduals
 from sklearn_vbjfa.robot import FitOptions
@@ -224,7 +224,7 @@ def test_a_shared_constant_is_reported_for_one_effect():
     truth = {"q0": 0.3, "dFc": -0.6}[key]
     assert low - 0.5 * (high - low) < truth < high + 0.5 * (high - low)
     ((other, omitted),) = constants - {(name, key)}
-    assert f"{omitted} not identifiable" in parameter_text(by_name[other])
+    assert f"{omitted} not identifiable" in words.parameter_text(by_name[other])
 
 
 @pytest.mark.parametrize("bodies", ["prior", "free"])
@@ -242,7 +242,7 @@ def test_rest_position_of_a_spring_includes_the_uncertainty_of_the_weight(bodies
     if bodies == "free":
         # Accelerations determine the sum of mass and rotor inertia only.
         assert "q0" not in spring.intervals
-        assert "+-" not in parameter_text(spring)[1]
+        assert "+-" not in words.parameter_text(spring)[1]
     else:
         low, high = spring.intervals["q0"]
         assert low < 0.1 < high
@@ -308,13 +308,14 @@ def test_positive_shapes_have_positive_intervals_and_a_rise_is_a_warning():
         assert 0 < low < 0.05 < high
         assert low * high == pytest.approx(0.05**2)
         assert ("rose" in effect.warning) == bool(rising)
-    assert any(" to " in text for text in parameter_text(effect))
+    assert any(" to " in text for text in words.parameter_text(effect))
 
 
 def test_absent_elements_and_unresolved_presliding_are_not_printed():
     bank = effects.MaxwellSlip(displacements=(0.0, 1e-4), falling=(0.01,))
     for noise, half in ((1e-6, "half = "), (1e-4, "half < 0.0006 rad")):
-        texts = parameter_text(discovered(bank, coef=(1.0, 1.0, 0.05), noise=noise))
+        effect = discovered(bank, coef=(1.0, 1.0, 0.05), noise=noise)
+        texts = words.parameter_text(effect)
         assert [text.split()[0] for text in texts] == ["Fc", "half", "element"]
         assert texts[1].startswith(half)
 

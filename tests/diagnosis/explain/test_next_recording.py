@@ -1,16 +1,16 @@
 """Expected error on the next recording, from the variation between recordings."""
 
-import functools
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis.explain import ExpectedError, MotionStatistics
-from sklearn_vbjfa.diagnosis.explain._next import _COMMON, _KINDS, _MAX_SHARE, _WIDTH
 from tests.diagnosis._recordings import SPRINGY
 
 LEFT, FLOOR, SCATTER = 0.05, 0.04, 0.05
+# Prior of the variation of friction, gain, offset and load between recordings.
+MEDIANS, WIDTH, COMMON, MOST = np.array([0.03, 0.003, 0.004, 0.02]), 2.4, 0.5, 0.3
 
 
 def motion(fast=1.0, friction=0.8, seed=0, nv=1):
@@ -59,26 +59,23 @@ def test_source_of_the_expected_error(r, source):
     assert estimate.mean == pytest.approx(estimate.error[0])
 
 
-def error_of(deviation, sizes, rng):
-    noise = FLOOR * np.exp(SCATTER * rng.standard_normal())
-    return np.hypot(noise, np.linalg.norm(deviation * sizes))
-
-
 @pytest.mark.parametrize("r", [0, 2, 4])
 def test_coverage_of_the_expected_error(r):
     sizes, inside = motion().sizes[:, 0], []
-    medians, count = np.array([*_KINDS.values()]), max(r, 1)
-    common, individual = np.sqrt([_COMMON, 1.0 - _COMMON])
+    count, (common, individual) = max(r, 1), np.sqrt([COMMON, 1.0 - COMMON])
     for seed in range(150):
         rng = np.random.default_rng(seed)
         drawn = common * rng.standard_normal() + individual * rng.standard_normal(4)
-        shares = medians * np.exp(_WIDTH * drawn)
-        shares /= 1.0 + shares / _MAX_SHARE
+        shares = MEDIANS * np.exp(WIDTH * drawn)
+        shares /= 1.0 + shares / MOST
         values = rng.standard_normal((count + 1, 4)) * shares
         fitted, following = values[:count], values[count]
 
         # A complete model; its parameters are means over the recordings.
-        error = functools.partial(error_of, sizes=sizes, rng=rng)
+        def error(deviation, rng=rng):
+            noise = FLOOR * np.exp(SCATTER * rng.standard_normal())
+            return np.hypot(noise, np.linalg.norm(deviation * sizes))
+
         mean = fitted.mean(axis=0)
         left = np.sqrt(np.mean([error(x - mean) ** 2 for x in fitted]))
         left_out = [error((x - mean) * r / (r - 1)) for x in fitted] if r else []

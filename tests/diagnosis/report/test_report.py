@@ -8,7 +8,7 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import NotIdentifiable
-from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report import words
 from sklearn_vbjfa.diagnosis.search._posterior import SMALL
 from sklearn_vbjfa.effects import Coulomb, Effect
 from tests.diagnosis.report._outcomes import (

@@ -25,6 +25,11 @@ _STATUS = {
 # exceeds the noise or cannot be compared with it.
 _UNTRUSTED = ("failed", "worse", "few", "no data", "unsearched")
 _ABOVE_NOISE = ("unexplained", "above", "unknown")
+# Fault of a log whose estimated delay of the commands is below minus one row.
+_EARLY = (
+    "The commands would act more than a sample period before they are logged: the law "
+    "of the drive has other terms (v_desired, integral part), or another clock."
+)
 # Joint statuses that give a warning.
 NO_ANSWER = ("no data", "few", "unknown", "failed", "worse")
 
@@ -89,6 +94,10 @@ def judge(outcome):
         for channel in findings["channels"]
         if channel.severity == "warning" and channel.kind not in NO_INFORMATION
     )
+    for fact in outcome.facts_of("parameter"):
+        latest = fact.interval[1] * outcome.provenance["rate"]  # in rows
+        if fact.name == "drive:delay" and latest < -1.0:
+            faults += (_EARLY,)
     columns = {x: outcome.column(x) for x in ("before", "plain", "after", "floor")}
     used = np.isfinite(columns["before"] + columns["after"]) & outcome.column("enough")
     errors = {
@@ -170,10 +179,6 @@ def _uses(outcome, faults, joints, rose):
     """Decide on the uses of an outcome, a tuple of `Use`; reasons are codes."""
     overall = "faulty" if faults else ""
     overall = overall or ("contradiction" if outcome.findings["contradictions"] else "")
-    # Commands cannot act more than a row before they are logged.
-    delays = [x for x in outcome.facts_of("parameter") if x.name == "drive:delay"]
-    early = any(x.interval[1] * outcome.provenance["rate"] < -1.0 for x in delays)
-    overall = overall or "early" * early
     large = [joint.joint for joint in outcome.errors if joint.after > _LARGE]
     fifth = [x.joint for x in outcome.errors if _FIFTH < x.after <= _LARGE]
     effects = (*outcome.findings["effects"], *outcome.findings["possible"])

@@ -434,7 +434,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Returns
         -------
         error : ndarray of shape (nv,)
-            Median of the RMS error over `torque_std_`; nan without held-out data.
+            Median RMS error over `torque_std_` of the fit, not of X; nan if unknown.
         interval : ndarray of shape (2, nv)
             Bounds of the 90 % prediction interval.
         """

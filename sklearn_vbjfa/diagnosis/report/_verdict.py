@@ -198,6 +198,8 @@ def _uses(outcome, faults, joints, rose):
     excess = outcome.column("after") ** 2 - np.nan_to_num(outcome.column("floor")) ** 2
     poor = [j for j in doubtful if excess[j] > _FIFTH**2]
     noted["unconfirmed"] = doubtful
+    far = [x.joint for x in joints if x.detail == "far"]
+    own = {"simulation": {"left out": hidden}, "collision detection": {"far": far}}
     uses = []
     for name, forbidden in (
         ("feedforward", _UNTRUSTED),
@@ -215,11 +217,7 @@ def _uses(outcome, faults, joints, rose):
         if name == "simulation" and unstable and not (overall or followed):
             causes["unstable"] = []
         if allowed := not causes:
-            qualified = dict(noted)
-            if name == "simulation":
-                qualified["left out"] = hidden
-            elif name == "collision detection":
-                qualified["far"] = [x.joint for x in joints if x.detail == "far"]
+            qualified = noted | own.get(name, {})
             causes |= {code: x for code, x in qualified.items() if x}
             if followed:
                 causes["followed" if name == "simulation" else "by law"] = []

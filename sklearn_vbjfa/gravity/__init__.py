@@ -212,8 +212,7 @@ def _covariance(robot):
     """Return the covariance of all bodies; undetermined parameters have zero."""
     nv, p = robot.features_.n_joints_, robot.features_.n_parameters_
     bodies = np.flatnonzero(np.arange(p) % (p // nv) < 10)
-    covariance = robot.robot_.covariance[np.ix_(bodies, bodies)]
-    return np.where(np.isfinite(covariance), covariance, 0.0)
+    return np.nan_to_num(robot.robot_.covariance[np.ix_(bodies, bodies)], posinf=0.0)
 
 
 def _best_poses(rows, covariance, noise):
@@ -222,8 +221,7 @@ def _best_poses(rows, covariance, noise):
     while True:
         cross = rows @ covariance
         torque = cross @ rows.transpose(0, 2, 1)
-        variance = np.maximum(np.diagonal(torque, axis1=1, axis2=2), 0.0)
-        std = np.sqrt(variance.mean(axis=0))
+        std = np.sqrt(np.einsum("kjj->j", torque).clip(0.0) / len(rows))
         # A pose is recorded twice, approached from both sides.
         gains = np.linalg.inv(torque + np.diag(noise**2 / 2))
         # Reduction of the largest variance by each pose, summed over all poses.

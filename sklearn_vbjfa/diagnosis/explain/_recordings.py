@@ -64,13 +64,12 @@ class RecordingMoments:
         weight, tau = self.view.equations.weight, self.view.equations.tau
         Phi = np.concatenate([self.view.equations.Phi, fit.added], axis=2)
         # numbers: those of the recordings of which rows were selected.
-        self.numbers, self.origin = np.unique(self.view.origin, return_inverse=True)
+        self.numbers, origin = np.unique(self.view.origin, return_inverse=True)
         self.count = self.numbers.size
         self.recording = np.repeat(np.arange(self.count), _PARTS)
         self.columns = [np.flatnonzero(row) for row in (Phi != 0).any(axis=0)]
         # Contiguous thirds: slow noise would correlate interleaved blocks.
-        time = np.arange(self.origin.size)
-        part = _thirds(self.origin, time, weight.sum(axis=1))
+        part = _thirds(origin, np.arange(origin.size), weight.sum(axis=1))
         q, v, _ = np.split(self.view.states[self.view.index], 3, axis=1)
         motion, self.partitions = self.view.motion_of(fit.identifier.theta_), []
         zeros = [self.view.in_equations(JointZero(k), motion) for k in range(self.nv)]
@@ -80,7 +79,7 @@ class RecordingMoments:
             design = np.concatenate([x[:, j] for x in columns], axis=1)
             # Parameters fitted with an incomplete model vary with position and speed.
             signals, w = (q[:, j], np.abs(v[:, j])), weight[:, j]
-            parts = part, *(_thirds(self.origin, x, w) for x in signals)
+            parts = part, *(_thirds(origin, x, w) for x in signals)
             self.partitions.append([self._moments(design, w, x) for x in parts])
         self.moments = [moments for moments, *_ in self.partitions]
         masks = (part == p for p in range(self.recording.size))

@@ -75,7 +75,7 @@ def phase_blocks(motion, phase, correlation, filter_length):
     )
 
 
-def make_blocks(time, starts, correlation, filter_length, order=None):
+def make_blocks(time, starts, correlation, filter_length, order):
     """Divide rows at times (m,) [s] into blocks that are nearly independent."""
     # correlation: correlation time of the residual [s]; filter_length in [s]. Blocks
     # are assigned to folds cyclically, by recording in the given `order`.
@@ -99,7 +99,5 @@ def make_blocks(time, starts, correlation, filter_length, order=None):
     return Blocks(
         label=first[part] + row * counts[part] // sizes[part],
         length=total / counts.sum(),
-        sequence=np.concatenate(
-            blocks if order is None else [blocks[k] for k in order]
-        ),
+        sequence=np.concatenate([blocks[k] for k in order]),
     )

@@ -217,17 +217,15 @@ class HeldOutFit:
         # large if the other folds have to be extrapolated.
         data = self.data
         scaled = np.zeros_like(data.view.target)
-        rows = np.arange(scaled.shape[1])[data.order]
-        residual = np.zeros((len(self._columns), rows.size))
-        for j, r in enumerate(residual):
-            r[:] = self._residual(self._thetas[()], j)
-        for r, weight, A, (at, X) in zip(residual, self.weight, data.A, self._columns):
+        joints = zip(data.used_joints, self.weight, data.A, self._columns)
+        for j, (joint, weight, A, (at, X)) in enumerate(joints):
+            residual = self._residual(self._thetas[()], j)
             for factor, fold in zip(self._factors, data.rows):
                 columns = np.zeros((fold.sum(), self._applied.size))
                 columns[:, : self._r], columns[:, at] = A[fold, :-1], X[fold]
                 variance = columns.T * linalg.cho_solve(factor, columns.T)
-                r[fold] /= np.sqrt(1.0 + weight * variance.sum(axis=0))
-        scaled[data.used_joints[:, None], rows] = residual
+                residual[fold] /= np.sqrt(1.0 + weight * variance.sum(axis=0))
+            scaled[joint, data.order] = residual
         return scaled
 
 
@@ -236,9 +234,7 @@ def fold_of(view):
     if view.repetition:
         return view.blocks.fold
     origins = np.unique(view.origin)
-    if origins.size >= _MIN_RECORDINGS:
-        return np.searchsorted(origins, view.origin)
-    pieces = -(-_FOLDS // origins.size)
+    pieces = 1 if origins.size >= _MIN_RECORDINGS else -(-_FOLDS // origins.size)
     fold = np.empty(view.origin.size, int)
     for k, origin in enumerate(origins):
         rows = np.flatnonzero(view.origin == origin)

@@ -406,22 +406,18 @@ def relinearise(fit):
             unchanged = columns.joints, columns.values, columns.unit, columns.edges
             member = replace(member, columns=Columns([new], *unchanged))
         members.append(member)
+    linear = [i for i, m in enumerate(members) if not isinstance(m.effect, InModel)]
     problem, base, theta = fit.problem, fit.base, fit.theta
     view = problem.view.corrected(tuple(m.effect for m in members))
     corrected = view is not problem.view
     if corrected:
         problem = Problem(view, problem.cosines)
         base = base.on(problem)
-        additive = [m for m in members if not isinstance(m.effect, InModel)]
-        theta = Fit(base, additive).theta
-    pairs = zip(members, coefs)
-    linear = [
-        (m.effect, coef) for m, coef in pairs if not isinstance(m.effect, InModel)
-    ]
+        theta = Fit(base, [members[i] for i in linear]).theta
     motion = view.motion(
         theta,
-        tuple(effect for effect, _ in linear),
-        np.concatenate([np.empty(0), *(coef for _, coef in linear)]),
+        [members[i].effect for i in linear],
+        np.concatenate([np.empty(0), *(coefs[i] for i in linear)]),
     )
     problem = problem.changed(motion=motion)
     # Columns change with the load or the robot only.

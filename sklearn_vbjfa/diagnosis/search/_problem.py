@@ -133,7 +133,6 @@ class Problem:
         mean = (view.target * view.root.T).sum(axis=1) / rows
         varying = view.target - mean[:, None] * view.root.T
         self.torque = np.sqrt((varying**2).sum(axis=1) / view.target.shape[1])
-        self._per_torque = (self.torque > 0) / or_one(self.torque)
         self.used_joints = view.precision > 0
         self.held = np.zeros(view.one_sided.shape[:2], dtype=bool)
         # Cached: most joints of consecutive fits have the same members.
@@ -176,7 +175,8 @@ class Problem:
             rows = view.columns(effects, self.motion)
             size = np.sqrt((rows**2).mean(axis=1)).transpose(1, 2, 0)
             # The unit of an effect on several joints is that of the most affected one.
-            largest = (size * self._per_torque[joints]).max(axis=2)
+            torque = self.torque[joints]
+            largest = (size * ((torque > 0) / or_one(torque))).max(axis=2)
             unit = (largest > 0) / or_one(largest)
             values = self.cosines(rows, joints)
             columns = Columns(effects, joints, values, unit, self.edges, load)

@@ -94,13 +94,12 @@ class RecordingView:
     # information; begins: start times of the recordings [s].
     # Samples for columns of effects, of a long recording every `stride`-th: states (n,
     # 3 nv), clock (n,) [s] or None, signals (n,) by name.
-    # Filtered rows: index (m,), central sample of each; moving (m, nv), weights without
-    # rows at rest; root (m, nv), square roots of the weights; target (nv, m), torques
-    # times these; starts, first row of each part; origin (m,), recording of each row; Z
-    # (nv, m, r) and back (p, r), see `reduced`; one_sided (nv, n_terms, r), rows of
-    # `back` for nonnegative friction terms. blocks: blocks and folds; phases: motion of
-    # each row and time in it [s], None without repetition; precision (nv,): weights of
-    # the joints; cache: all `Columns`.
+    # Filtered rows: index (m,), central sample of each; root (m, nv), square roots of
+    # the weights; target (nv, m), torques times these; starts, first row of each part;
+    # origin (m,), recording of each row; Z (nv, m, r) and back (p, r), see `reduced`;
+    # one_sided (nv, n_terms, r), rows of `back` for nonnegative friction terms. blocks:
+    # blocks and folds; phases: motion of each row and time in it [s], None without
+    # repetition; precision (nv,): weights of the joints; cache: all `Columns`.
 
     def __init__(
         self,
@@ -125,7 +124,6 @@ class RecordingView:
         self._root, self._corrections = self, frozenset()
         self._corrected, self.cache, self._recent = {}, WeakValueDictionary(), {}
         self._set_equations()
-        self.moving = self.equations.weight
         self.recorded = self.equations.index
         edges = np.array([part.start for part in recording.segments])
         self.starts = np.unique(np.searchsorted(self.recorded, edges))

@@ -13,7 +13,7 @@ def blocks_of(lengths, correlation=0.05, filter_length=0.1, step=0.05):
     """Make blocks of recordings with the given numbers of rows."""
     time = np.arange(sum(lengths)) * step
     starts = np.r_[0, np.cumsum(lengths)[:-1]].astype(int)
-    return make_blocks(time, starts, correlation, filter_length)
+    return make_blocks(time, starts, correlation, filter_length, range(len(lengths)))
 
 
 @settings(deadline=None, max_examples=100)

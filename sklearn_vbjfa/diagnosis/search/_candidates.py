@@ -10,7 +10,7 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._groups import Overdispersion
 from sklearn_vbjfa._core._runtime import counted
 from sklearn_vbjfa.diagnosis.search._problem import Columns
-from sklearn_vbjfa.effects import Bank, InModel, OnAllJoints, Shaped, closure
+from sklearn_vbjfa.effects import InModel, OnAllJoints, Shaped, closure
 
 # Least log odds of geometric candidates.
 _GEOMETRY_ODDS = -20.0
@@ -51,11 +51,11 @@ class Candidate:
 class Candidates:
     """Candidates on all joints given a fit, cached for unchanged joints."""
 
-    # columns: of each effect, by joint; rejected: keys of rejected effects; no_bank:
-    # joints without presliding friction; noise: the fit whose residual is the noise
-    # (None: evidence is not discounted, but that of banks is exact).
+    # columns: of each effect, by joint; rejected: keys of rejected effects; noise: the
+    # fit whose residual is the noise (None: evidence is not discounted, but that of
+    # banks is exact).
 
-    def __init__(self, problem, library, settings, no_bank=()):
+    def __init__(self, problem, library, settings):
         self.library, self.settings = library, settings
         self.noise, self.rejected = None, set()
         self.columns = {int(j): [] for j in np.flatnonzero(problem.used_joints)}
@@ -64,7 +64,6 @@ class Candidates:
             new = clone(effect).set_params(joint=j)
             # A joint without samples may have effects on the torques of others.
             excluded = j not in self.columns and not isinstance(effect, OnAllJoints)
-            excluded |= isinstance(effect, Bank) and j in no_bank
             if excluded or new.name in problem.view.declared:
                 continue
             if not new.applies(problem.motion):

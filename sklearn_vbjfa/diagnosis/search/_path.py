@@ -47,12 +47,11 @@ _SIMILAR = 0.9
 class Path:
     """Search for the most probable set of effects, at most `max_effects`."""
 
-    # library: effects to try on every joint; no_bank: see `Candidates`.
+    # library: effects to try on every joint.
 
-    def __init__(self, view, library, settings, max_effects=None, no_bank=()):
+    def __init__(self, view, library, settings, max_effects=None):
         self.view, self.library, self.settings = view, library, settings
-        self.max_effects, self.round, self.no_bank = max_effects, 0, no_bank
-        self._held = None
+        self.max_effects, self.round, self._held = max_effects, 0, None
 
     # -- search -----------------------------------------------------------------------
 
@@ -67,7 +66,7 @@ class Path:
         fit, previous = self.fit_declared(), None
         for self.round in range(_ROUNDS):
             say(f"round {self.round + 1}")
-            self.candidates = self._candidates(fit)
+            self.candidates = Candidates(fit.problem, self.library, self.settings)
             base = self._spectrum(fit.with_held(False))
             fit = self._climb(self.scaled(Fit(base, fit.members)))
             keys = effect_keys(fit)
@@ -77,13 +76,10 @@ class Path:
             fit = relinearise(fit)
         return fit
 
-    def _candidates(self, fit):
-        return Candidates(fit.problem, self.library, self.settings, self.no_bank)
-
     def forward_selection(self):
         """Add the best candidates to the declared columns, joint by joint."""
         fit = with_joint_weights(self.fit_declared())
-        self.candidates = self._candidates(fit)
+        self.candidates = Candidates(fit.problem, self.library, self.settings)
         self.candidates.noise, visited = fit, {effect_keys(fit)}
         while (new := self._forward_step(fit, visited)) is not None:
             fit = new

@@ -152,10 +152,10 @@ SLOW_FILTER = "a filter within the motion's own frequencies"
 def search(view, library, settings, alpha, max_effects=None):
     """Find the most probable effects of a recording, and the reported ones."""
     needed = float(np.log((1.0 - alpha) / alpha))
-    view, resting, no_bank = _friction_at_rest(view, library, settings)
+    resting = _friction_at_rest(view, library, settings)
     while True:
         view = view.with_rest(resting)
-        path = Path(view, library, settings, max_effects, no_bank)
+        path = Path(view, library, settings, max_effects)
         fit, odds, gains = _final_model(path, path.run())
         bank_joints = slip_joints(member.effect for member in fit.members)
         if resting <= bank_joints:
@@ -213,26 +213,23 @@ _REST_SHARE = 0.5
 
 
 def _friction_at_rest(view, library, settings):
-    """Return a view, the joints with presliding friction at rest, and those without."""
+    """Return the joints at rest whose torque presliding friction predicts, a set."""
     # The declared friction terms predict no torque at rest.
     banks = [effect for effect in library if isinstance(effect, Bank)]
     resting = set(view.at_rest())
     if not banks or not resting:
-        return view, set(), set()
-    view = view.with_rest(resting)
-    path = Path(view, banks, settings)
+        return set()
+    path = Path(view.with_rest(resting), banks, settings)
     fit = path.forward_selection()
     validation = path.validate(fit)
     # Test the total gain: blocks without standstill have nothing to save.
     gains = [validation.gain_of(i) for i in range(len(fit.members))]
-    predicted = {
+    return resting & {
         member.effect.joint
         for i, (member, gain) in enumerate(zip(fit.members, gains))
         if gain.gain > settings.significance * gain.gain_std
         and validation.share_of(i) > _REST_SHARE
     }
-    no_bank = resting - slip_joints(member.effect for member in fit.members)
-    return view, predicted & resting, no_bank
 
 
 def sort_findings(findings):

@@ -13,6 +13,7 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     Fit,
     Problem,
     fit_uniform,
+    spectral_fit,
     spectrum_of,
     with_joint_weights,
 )
@@ -107,7 +108,7 @@ class Path:
             if not added:
                 break
             share, fit = fit.base.share, Fit(fit.base, [*fit.members, *added])
-            fit = spectrum_of(self.scaled(fit), self.settings, 1, share)
+            fit = spectral_fit(self.scaled(fit), self.settings, share, rounds=1)
         fit = spectrum_of(fit, self.settings)
         candidates.noise = fit
         return fit.base
@@ -342,7 +343,7 @@ class Path:
                 log_odds.append(cache[key])
                 continue
             rounds = 3 if member.effect.slow else 1
-            reduced = spectrum_of(fit.without(i), self.settings, rounds, share)
+            reduced = spectral_fit(fit.without(i), self.settings, share, rounds)
             gain = float(groups.integrated(scale, member.scale)[0])
             evidence = min(
                 float(groups.discounted(excess).evidence(scale)[0]),

@@ -598,27 +598,25 @@ def with_joint_weights(fit):
 _SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 
 
-def spectrum_of(fit, settings, rounds=3, share=None):
+def spectrum_of(fit, settings):
     """Refit under weights by the spectrum of the residual."""
     # Spectral weights are efficient if the model is correct. Otherwise use the largest
-    # exponent `share` (None: search it) for which no joint's predicted torque differs
-    # from that by flat weights more than by chance (after J. Hausman, Econometrica
-    # 46(6), 1978, doi 10.2307/1913827).
-    if share is not None:
-        return _spectral_fit(fit, settings, rounds, share)
+    # exponent for which no joint's predicted torque differs from that by flat weights
+    # more than by chance (after J. Hausman, Econometrica 46(6), 1978, doi
+    # 10.2307/1913827).
     problem = fit.problem
     flat = fit_uniform(problem, problem.view.precision, fit.members)
     flat = with_joint_weights(flat)
     limit = _chance_limit(flat.base, _spectrum(flat, settings), settings.significance)
     for start, share in ((fit, 1.0), *((flat, x) for x in _SHARES)):
-        estimate = _spectral_fit(start, settings, rounds, share)
+        estimate = spectral_fit(start, settings, share)
         distance = ((estimate.residual - flat.residual) ** 2).sum(axis=1)
         if (distance <= limit)[problem.used_joints].all():
             break
     return estimate
 
 
-def _spectral_fit(fit, settings, rounds, share):
+def spectral_fit(fit, settings, share, rounds=3):
     """Refit under weights by a power of the residual's spectrum."""
     problem = fit.problem
     for _ in range(rounds):

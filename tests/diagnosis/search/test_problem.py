@@ -19,6 +19,7 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     SelectedEffect,
     _chance_limit,
     _joint_columns,
+    spectral_fit,
     spectrum_of,
 )
 from sklearn_vbjfa.effects import Coulomb, Drift, JointZero, Offset, Payload, Spring
@@ -467,7 +468,7 @@ def test_model_errors_in_fast_motion_flatten_the_weights(late):
     path = search(torque + 0.3 * slow[:, None], [], recording, robot).path()
     plain = path.fit_declared()
     chosen = spectrum_of(plain, SearchSettings())
-    whole = spectrum_of(plain, SearchSettings(), share=1.0)
+    whole = spectral_fit(plain, SearchSettings(), 1.0)
     k = list(robot.parameter_names_).index("joint_1:coulomb")
     value, by_all = ((path.view.back @ fit.theta)[k] for fit in (chosen, whole))
     if late:

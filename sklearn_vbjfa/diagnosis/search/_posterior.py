@@ -208,28 +208,15 @@ def _can_replace(path, candidate, fit, i, log_odds):
     return all(geometry) or bool(candidate and candidate.order > threshold)
 
 
-# Least share of a joint's squared error that presliding friction must save.
-_REST_SHARE = 0.5
-
-
 def _friction_at_rest(view, library, settings):
-    """Return the joints at rest whose torque presliding friction predicts, a set."""
+    """Return the joints with presliding friction at rest, a set."""
     # The declared friction terms predict no torque at rest.
     banks = [effect for effect in library if isinstance(effect, Bank)]
-    resting = set(view.at_rest())
+    resting = view.at_rest()
     if not banks or not resting:
         return set()
-    path = Path(view.with_rest(resting), banks, settings)
-    fit = path.forward_selection()
-    validation = path.validate(fit)
-    # Test the total gain: blocks without standstill have nothing to save.
-    gains = [validation.gain_of(i) for i in range(len(fit.members))]
-    return resting & {
-        member.effect.joint
-        for i, (member, gain) in enumerate(zip(fit.members, gains))
-        if gain.gain > settings.significance * gain.gain_std
-        and validation.share_of(i) > _REST_SHARE
-    }
+    fit = Path(view.with_rest(resting), banks, settings).forward_selection()
+    return slip_joints(m.effect for m in fit.members).intersection(resting)
 
 
 def sort_findings(findings):

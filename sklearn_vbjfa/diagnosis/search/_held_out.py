@@ -161,6 +161,11 @@ class HeldOutFit:
         rows = self.data.view.rows[self.data.used_joints]
         return float(rows @ np.log(self.squares.sum(axis=0) / rows))
 
+    def error_of(self, joint):
+        """Return the squared error of one joint."""
+        index = np.searchsorted(self.data.used_joints, joint)
+        return float(self.without((), [index]).sum())
+
     def _joints_of(self, i):
         """Return indices and weights of the joints whose error a member changes."""
         effect = self.fit.members[i].effect

@@ -217,6 +217,8 @@ class Path:
         elif isinstance(candidates[0].effect, InModel):
             # Terms of second order would resemble further effects.
             new = updated
+        for k in range(len(kept)):
+            new = self._without_contained(new, first + k)
         return self._pruned(new)
 
     def _member(self, fit, candidate):
@@ -252,6 +254,37 @@ class Path:
             if not any(probable):
                 break
         return probable, fit
+
+    def _without_contained(self, fit, i):
+        """Drop effects that a member contains if it does as well without them."""
+        # Its shape was fitted to the residual of these effects.
+        if i >= len(fit.members):
+            return fit
+        member = fit.members[i]
+        names, joint = closure(member.effect, self.library), member.effect.joint
+        kept = [
+            m
+            for m in fit.members
+            if m.effect.joint != joint or m.effect.name not in names
+        ]
+        if len(kept) == len(fit.members):
+            return fit
+        base = Fit(fit.base, [m for m in kept if m is not member])
+        for columns in self.candidates.columns[joint]:
+            if columns.effects[0].name != member.effect.name:
+                continue
+            candidate = self.candidates.candidate(base, columns)
+            if candidate is None:
+                continue
+            alone = base.with_member(self._member(base, candidate))
+            alone = self.scaled(step_shapes(alone, [len(base.members)]))
+            alone_error, error, base_error = (
+                self.validate(model).error_of(joint) for model in (alone, fit, base)
+            )
+            # Alone it must save nearly as much as together.
+            if alone_error - error <= self.settings.min_gain * (base_error - error):
+                return alone
+        return fit
 
     def _pruned(self, fit):
         """Drop improbable members, the least probable first."""

@@ -177,10 +177,10 @@ def scaled_eigen(A, tolerance=None, *, scale=None, relative=True):
     return ScaledEigen(scale=scale, values=values, vectors=vectors, known=known)
 
 
-def solve_spd(A, b, least=1.0, parts=None):
+def solve_spd(A, b, least=1.0, parts=()):
     """Solve A x = b with eigenvalues of A >= `least`; x, inverse, log determinant."""
     # parts: indices of the equations of each uncoupled part, if there are several.
-    if parts is not None and len(parts) > 1:
+    if len(parts) > 1:
         x, inverse, log_det = np.empty(b.shape), np.zeros(A.shape), 0.0
         for rows in parts:
             block = np.ix_(rows, rows)

@@ -234,7 +234,7 @@ class _BodyProblem:
     def _whitened(self):
         """Equations H z = q of the bodies' changes alone, description, branches."""
         # In coordinates (10 n,) in which the prior is isotropic; other parameters are
-        # eliminated. Branches: indices of coupled equations, a list.
+        # eliminated. Branches: indices of equations that data or priors couple, a list.
         root, A = linalg.block_diag(*self.description.root), self.A
         places, free = self.description.places.ravel(), np.ones(self.b.size, dtype=bool)
         free[places] = False

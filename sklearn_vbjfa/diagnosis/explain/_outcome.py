@@ -117,8 +117,8 @@ def make_outcome(loop, search, final, judged, channels, whole):
     floor = np.where(np.isfinite(floor), floor, loop.validation_model_.noise_floor_)
     with np.errstate(divide="ignore", invalid="ignore"):
         columns["floor"] = floor / spread
-    parts, low = RecordingMoments.of(final), judged["intervals"]["after"][0]
-    expectation = _expectation(final, parts, columns, judged["intervals"]["after"])
+    parts, interval = RecordingMoments.of(final), judged["intervals"]["after"]
+    expectation, low = _expectation(final, parts, columns, interval), interval[0]
     noise, enough = low <= ABOVE_FLOOR[0] * columns["floor"], columns["enough"]
     good = noise & enough, (noise | (after < WELL) | ~enough) & enough.any()
     errors = np.where(enough, after, np.nan)

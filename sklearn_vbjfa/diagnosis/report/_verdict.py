@@ -224,7 +224,7 @@ def _uses(outcome, faults, joints, rose):
             if name == "simulation" and export and not unstable:
                 causes["approximate"] = []
         uses.append(Use(name=name, allowed=allowed, causes=tuple(causes.items())))
-    return (*uses, *_masses(outcome, overall, "by law" * followed))
+    return (*uses, *_masses(outcome, overall, "by law" if followed else ""))
 
 
 def _joints_with(outcome, *kinds):
@@ -244,7 +244,7 @@ def _masses(outcome, whole, condition):
     for names, reason in ((identified, ""), (others, whole or "masses")):
         if names:
             some = f" of {words.join(names, 3)}" if identified and others else ""
-            causes = ((reason or condition, []),) if reason or condition else ()
-            name = f"link masses{some}"
+            cause, name = reason or condition, f"link masses{some}"
+            causes = ((cause, []),) if cause else ()
             uses.append(Use(name=name, allowed=not reason, causes=causes))
     return tuple(uses)

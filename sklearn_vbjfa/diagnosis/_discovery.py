@@ -254,7 +254,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if drive is not None and drive.unsigned and whole.command is None:
             # The fitted rows determine the torque signs of the others.
             part = split_in_time(self.identifier, whole, self.test_size).searched(whole)
-            fitted = clone(self.identifier).fit_inspected(part)
+            fitted = clone(self.identifier).fit_without_inspection(part)
             whole = signed(fitted.robot_, whole)
         signals, unusable = scan_signals(signals, columns, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
@@ -318,7 +318,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         say("declared model")
         split = split_in_time(self.identifier, whole, self.test_size)
         part = split.searched(whole)
-        self.declared_ = clone(self.identifier).fit_inspected(part, compare=False)
+        self.declared_ = clone(self.identifier).fit_without_inspection(
+            part, compare=False
+        )
         self.baseline_ = self.declared_
         if set(declarable()) - set(self.declared_.features_.friction_):
             # Do not duplicate friction terms that are declared on single joints.
@@ -328,7 +330,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 if effect.name not in declarable() or any(effect.shape().values())
             )
             new = clone(self.identifier).set_params(friction=declarable(), effects=kept)
-            self.baseline_ = new.fit_inspected(part, compare=False)
+            self.baseline_ = new.fit_without_inspection(part, compare=False)
         begins = tuple(whole.t[rows.start] for rows in whole.segments)
         repetition = find_repetition(whole.q, whole.t, whole.segments)
         timing = {"begins": begins, "repetition": repetition}
@@ -396,7 +398,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             names = baseline.joint_names_
             settings["gains"] = tuple(names[j] for j in baseline.gains_.references)
         model = clone(baseline).set_params(**settings)
-        return model.fit_inspected(recording, compare=False, previous=start.robot_)
+        return model.fit_without_inspection(
+            recording, compare=False, previous=start.robot_
+        )
 
     def _fit_final(self, result, start, whole, subset, silent, keywords):
         """Fit the completed model to all data, in the validated frequency band."""

@@ -233,7 +233,7 @@ def _noise(recording, path, robot):
 def _moments(recording, path, plan, features, halves, blocks, offsets):
     states, _ = smooth(recording, plan.state_estimator, halves, 1, None)
     segments = build_segments(recording, states, plan, features, first=offsets[path])
-    return accumulate(segments, plan.lowpass, numbering=blocks)
+    return accumulate(segments, plan.lowpass, blocks=blocks)
 
 
 def _import_dask():

@@ -423,7 +423,7 @@ class Segment:
         return tau, weight, self.first + lowpass.centres(self.n_rows)
 
     @one_blas_thread()
-    def moments(self, lowpass, outputs, numbering=None):
+    def moments(self, lowpass, outputs, blocks=None):
         """Return second moments of the equations without storing regressor matrices."""
         window, tau, weight, ranges = self._measured(lowpass, outputs)
         sums = MomentSums(
@@ -431,8 +431,8 @@ class Segment:
             self._regressors[0].n_parameters,
             tau,
             weight,
-            numbering and numbering.parts(self.number, outputs),
-            numbering and numbering.recording(self.number),
+            blocks and blocks.parts(self.number, outputs),
+            blocks and blocks.recording(self.number),
             noise=self.halves is not None,
             drive_noise=self._drive_noise(lowpass, window),
         )
@@ -503,8 +503,8 @@ def _filter_rows(regressors, span, lowpass, count, step=1):
     length = block_length(coarse, 8 * regressors[0].used.size)
     if lowpass.half == 0 and lowpass.step == 1:
         # Without a filter no sums have to be kept.
-        for blocks in zip(*[x.spans(span, length) for x in regressors]):
-            yield blocks[0][0], [entries for _, entries in blocks]
+        for spans in zip(*[x.spans(span, length) for x in regressors]):
+            yield spans[0][0], [entries for _, entries in spans]
         return
     filters = [BlockFilter(coarse, count, x.used.size) for x in regressors]
     for output, regressor in zip(filters, regressors):
@@ -604,11 +604,11 @@ def equations(segments, lowpass):
     return Equations(Phi=Phi, tau=tau, weight=weight, index=index)
 
 
-def accumulate(segments, lowpass, *, n_jobs=None, numbering=None):
+def accumulate(segments, lowpass, *, n_jobs=None, blocks=None):
     """Sum the second moments (`JointMoments`) of the segments' filtered equations."""
     # None if every segment is shorter than the filter.
     tasks = [
-        (segment, lowpass, outputs, numbering)
+        (segment, lowpass, outputs, blocks)
         for segment in segments
         for outputs in segment.pieces(lowpass)
     ]

@@ -116,44 +116,44 @@ def _join(parts):
     )
 
 
-def block_scatter(stats, weight, theta):
+def block_scatter(moments, weight, theta):
     """Compare an estimate's scatter between blocks with that of white residuals."""
     # weight (nv,): weights of the joints; theta (p,): estimate. Entries that are zero
     # in the total moments are set to zero in the blocks. Returns a `BlockVariance`.
-    blocks = _join(stats.blocks)
-    grams, scores = _weighted_parts(stats, blocks, weight, theta)
-    squares = stats.yy - 2 * stats.g @ theta + stats.products(theta) @ theta
-    noise = weight @ np.maximum(squares, 0.0) / stats.n[weight > 0].sum()
+    blocks = _join(moments.blocks)
+    grams, scores = _weighted_parts(moments, blocks, weight, theta)
+    squares = moments.yy - 2 * moments.g @ theta + moments.products(theta) @ theta
+    noise = weight @ np.maximum(squares, 0.0) / moments.n[weight > 0].sum()
     return block_variance(grams, scores, blocks.keys, float(noise))
 
 
-def weighted_parts(stats, parts, weight, theta):
+def weighted_parts(moments, parts, weight, theta):
     """Keys (n, 2), weighted Gram matrices (n, p, p), scores (n, p) of joined parts."""
     joined = _join(parts)
-    branch_grams, scores = _weighted_parts(stats, joined, weight, theta)
+    branch_grams, scores = _weighted_parts(moments, joined, weight, theta)
     total = np.zeros((*scores.shape, theta.size))
     for columns, grams in branch_grams:
         total[:, columns[:, None], columns] = grams
     return joined.keys, total, scores
 
 
-def _weighted_parts(stats, blocks, weight, theta):
+def _weighted_parts(moments, blocks, weight, theta):
     """Weighted Gram matrices (n, k, k) and scores (n, p) of `BlockMoments`."""
     # Gram matrices by branch (joints that share columns), each with its columns (k,).
     count = blocks.keys.shape[0]
     scores = np.zeros((count, theta.size))
     # With input noise or a prior scores do not sum to zero: subtract the mean.
-    excess = weight[:, None] * (stats.g - stats.products(theta))
-    excess /= np.where(stats.n > 0, stats.n, 1.0)[:, None]
+    excess = weight[:, None] * (moments.g - moments.products(theta))
+    excess /= np.where(moments.n > 0, moments.n, 1.0)[:, None]
     scores -= blocks.n @ excess
-    branch_grams, support = [], np.zeros(stats.g.shape, dtype=bool)
+    branch_grams, support = [], np.zeros(moments.g.shape, dtype=bool)
     for j in np.flatnonzero(weight):
-        support[j, stats.parts[j][0]] = True
+        support[j, moments.parts[j][0]] = True
     for joints, columns in branches(support):
         grams = np.zeros((count, columns.size, columns.size))
         branch_grams.append((columns, grams))
         for j in joints:
-            used = stats.parts[j][0]
+            used = moments.parts[j][0]
             at, cols = np.searchsorted(columns, used), used - blocks.columns[j].start
             G = blocks.G[j][:, cols[:, None], cols]
             grams[:, at[:, None], at] += weight[j] * G

@@ -205,18 +205,18 @@ class Plan:
         return np.full(self.standstill.size, CUTOFF_PER_BANDWIDTH / self.cutoff)
 
 
-def make_plan(settings, effects, lengths, estimator, facts):
+def make_plan(identifier, effects, lengths, estimator, facts):
     # lengths: rows of each recording; facts: `MotionFacts` of all recordings.
-    dt, drive = settings.dt, settings.drive
-    cutoff = resolve_cutoff(settings.cutoff, max(lengths), dt, estimator, drive)
+    dt, drive = identifier.dt, identifier.drive
+    cutoff = resolve_cutoff(identifier.cutoff, max(lengths), dt, estimator, drive)
     return Plan(
         dt=dt,
         state_estimator=estimator,
         cutoff=cutoff,
-        standstill=facts.standstill(settings.fit_options.standstill, estimator),
+        standstill=facts.standstill(identifier.fit_options.standstill, estimator),
         stops=facts.stops,
         effects=effects,
-        corrects_noise=corrects_noise(settings.regressor),
+        corrects_noise=corrects_noise(identifier.regressor),
         fastest_period=facts.period,
     )
 
@@ -587,14 +587,14 @@ def check_length(parts, lowpass, cutoff, names=()):
         )
 
 
-def check_count(stats, standstill, n_parameters):
+def check_count(moments, standstill, n_parameters):
     """Reject a fit with all samples masked or fewer equations than parameters."""
-    if stats is None or not stats.n.any():
+    if moments is None or not moments.n.any():
         raise ValueError(
             "Every sample is masked as standstill; lower `standstill` (now "
             f"{np.array2string(standstill, precision=3)}) or pass None."
         )
-    count = int(stats.n_rows.sum())
+    count = int(moments.n_rows.sum())
     if count < n_parameters:
         raise ValueError(
             f"{count} equations (joints times filtered, moving samples) are fewer "
@@ -621,8 +621,8 @@ def check_weight(sample_weight, shape):
     return weight if weight.ndim == 2 else np.repeat(weight[:, None], shape[1], 1)
 
 
-def check_drive(settings):
-    drive = settings.drive
+def check_drive(identifier):
+    drive = identifier.drive
     if drive is None:
         return
     if not isinstance(drive, Drive):
@@ -630,7 +630,7 @@ def check_drive(settings):
             "drive must be a PDDrive, CurrentDrive, VoltageDrive or None; got "
             f"{drive!r}. Torques need no drive."
         )
-    if settings.gains is not None and drive.gains is None:
+    if identifier.gains is not None and drive.gains is None:
         raise ValueError(
             "drive has gains, and cannot be combined with gains: leave gains=None."
         )

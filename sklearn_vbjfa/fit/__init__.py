@@ -7,7 +7,7 @@ _MODULES = {
     "_arguments": ("FitOptions",),
     "_bodies": ("BodyPrior", "DESCRIBED", "Departure", "SCALES", "around")
     + ("little_learned",),
-    "_fit": ("ModelValues", "jump"),
+    "_fit": ("ModelValues", "equivalent_corner"),
     "_identifier": ("RobotIdentifier",),
     "_joint_torque": ("JointTorqueRegressor",),
     "_output_error": (

@@ -62,17 +62,17 @@ class FitOptions:
     alike: str | None = "auto"
 
 
-def check_criterion(settings):
-    if settings.criterion not in ("torque", "simulation"):
+def check_criterion(identifier):
+    if identifier.criterion not in ("torque", "simulation"):
         raise ValueError(
-            f"criterion must be 'torque' or 'simulation'; got {settings.criterion!r}."
+            f"criterion must be 'torque' or 'simulation'; got {identifier.criterion!r}."
         )
-    if settings.criterion == "torque":
+    if identifier.criterion == "torque":
         return
-    window = settings.fit_options.window
+    window = identifier.fit_options.window
     if not (isinstance(window, Real) and 0 < window < np.inf):
         raise ValueError(f"window must be a positive time in s; got {window!r}.")
-    if settings.dt is None:
+    if identifier.dt is None:
         raise ValueError(
             "criterion='simulation' needs the sample period: give dt in seconds."
         )

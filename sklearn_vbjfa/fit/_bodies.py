@@ -108,7 +108,7 @@ class BodyPrior:
     # consistent.
 
     names: tuple[str, ...]  # joints that carry the bodies
-    places: np.ndarray  # (n, 10): indices of their parameters
+    indices: np.ndarray  # (n, 10): indices of their parameters
     centre: np.ndarray  # (n, 10): their parameters
     # (n, 10, 10): upper triangular R; |R d|^2 is the distance of a change d of a body
     root: np.ndarray
@@ -134,7 +134,7 @@ class BodyPrior:
         loose = DESCRIBED * _metric_roots(P + _thickened(pseudo_inertia(ball)))
         bodies = cls(
             names=tuple(names),
-            places=starts[:, None] + np.arange(10),
+            indices=starts[:, None] + np.arange(10),
             centre=centre,
             root=np.where(massless[:, None, None], loose, _metric_roots(P)),
             loose=loose,
@@ -154,7 +154,7 @@ class BodyPrior:
     def vector(self, p):
         """Return the description among all parameters (p,), zero elsewhere."""
         out = np.zeros(p)
-        out[self.places] = self.centre
+        out[self.indices] = self.centre
         return out
 
     def scaled(self, factor):
@@ -221,7 +221,7 @@ class _BodyProblem:
         """Return the precision (p, p) of the prior with some sites."""
         out, root = np.zeros(self.A.shape), self.description.root
         inner = np.array([site.precision for site in sites])
-        at = self.description.places
+        at = self.description.indices
         out[at[:, :, None], at[:, None, :]] = root.transpose(0, 2, 1) @ inner @ root
         return 0.5 * (out + out.T)
 
@@ -236,7 +236,10 @@ class _BodyProblem:
         # In coordinates (10 n,) in which the prior is isotropic; other parameters are
         # eliminated. Branches: indices of equations that data or priors couple, a list.
         root, A = linalg.block_diag(*self.description.root), self.A
-        places, free = self.description.places.ravel(), np.ones(self.b.size, dtype=bool)
+        places, free = (
+            self.description.indices.ravel(),
+            np.ones(self.b.size, dtype=bool),
+        )
         free[places] = False
         system = np.column_stack([A[:, places], self.b - A @ self.centre])
         eigen = scaled_eigen(A[np.ix_(free, free)], _RANK_TOLERANCE)
@@ -266,7 +269,7 @@ class _BodyProblem:
         size_product = centre @ right
         products = np.array([site.right for site in sites])
         root = self.description.root
-        right[self.description.places] += np.einsum("kij,ki->kj", root, products)
+        right[self.description.indices] += np.einsum("kij,ki->kj", root, products)
         # Directions without data and prior do not change.
         eigen = scaled_eigen(self.A + self.precision(sites), _RANK_TOLERANCE)
         mean, root = np.zeros(p + 1), np.zeros((p + 1, eigen.rank + 1))
@@ -303,7 +306,7 @@ class _BodyProblem:
         joint = np.column_stack(self.solve([Site.of_scale(x) for x in scale]))
         theta = self.centre + joint[:-1, 0] + joint[-1, 0] * self.centre
         z = self.description.root / scale[:, None, None]
-        z = (z @ joint[self.description.places]).reshape(-1, joint.shape[1])
+        z = (z @ joint[self.description.indices]).reshape(-1, joint.shape[1])
         z = np.vstack([z, joint[-1] / DESCRIBED])
         log_det = np.linalg.slogdet(z[:, 1:] @ z[:, 1:].T)[1]
         ratio = scale / DESCRIBED
@@ -548,13 +551,13 @@ def around(description, A, b):
     covariance[~determined, ~determined] = np.inf
     prior_std = np.full(b.size, np.nan)
     deviations = np.sqrt((np.linalg.inv(problem.description.root) ** 2).sum(axis=2))
-    prior_std[description.places] = deviations * scales[:, None]
-    prior_std[description.places[unknown]] = np.inf
+    prior_std[description.indices] = deviations * scales[:, None]
+    prior_std[description.indices[unknown]] = np.inf
     common, common_std = scale * (1.0 + mean[-1]), scale * np.linalg.norm(root[-1])
     # Search for departures at the described size, unless the unit differs.
     same_unit = abs(common - 1.0) < _SIZE_DEVIATIONS * common_std
     tested = _BodyProblem(description, A, b, fixed_size=True) if same_unit else problem
-    theta, mass = centre + (mean[:-1] + mean[-1] * centre), description.places[:, 0]
+    theta, mass = centre + (mean[:-1] + mean[-1] * centre), description.indices[:, 0]
     similar = _CONTRADICTED < common < 1.0 / _CONTRADICTED
     described = (1.0 if similar else scale) * description.centre[:, 0]
     sizes, stds = theta[mass] / described, np.sqrt(covariance[mass, mass]) / described
@@ -580,7 +583,7 @@ def fix_bodies(description, A, b):
     """Estimate all other parameters with the bodies fixed to the description."""
     # Parameters and result as for `around`.
     p = b.size
-    free = ~np.isin(np.arange(p), description.places)
+    free = ~np.isin(np.arange(p), description.indices)
     theta = description.vector(p)
     eigen = scaled_eigen(A[np.ix_(free, free)], _RANK_TOLERANCE)
     theta[free] = eigen.solve((b - A @ theta)[free])
@@ -600,18 +603,18 @@ def fix_bodies(description, A, b):
     )
 
 
-def described_bodies(settings):
+def described_bodies(identifier):
     """Return the `BodyPrior` of an identifier; None if its bodies are free."""
-    bodies, features = settings.bodies, settings.features_
+    bodies, features = identifier.bodies, identifier.features_
     if not isinstance(bodies, str) or bodies not in OPTIONS:
         raise ValueError(
             f"bodies must be one of {', '.join(map(repr, OPTIONS))}; got {bodies!r}."
         )
     prior = None
-    if bodies != "free" and settings.regressor is None:
+    if bodies != "free" and identifier.regressor is None:
         per_joint = features.n_parameters_ // features.n_joints_
         prior = BodyPrior.of(features.model_, per_joint, features.followers_)
-    if bodies == "fixed" and (prior is None or settings.used_gains is not None):
+    if bodies == "fixed" and (prior is None or identifier.used_gains is not None):
         raise ValueError(
             "bodies='fixed' cannot be combined with unknown gains, a regressor, or a "
             "description in which no body has mass and extension; use 'prior' or "

@@ -177,16 +177,17 @@ def plain_estimate(moments, joint_weights="auto", bodies=None):
         weight = np.minimum(weight, limit)
     total, noise = moments.total(weight), moments.total_noise(weight)
     metric = denoised(total, noise)
-    right, held = total.S_xy, np.zeros(total.S_xy.size, dtype=bool)
+    right, fixed = total.S_xy, np.zeros(total.S_xy.size, dtype=bool)
     if bodies is not None:
-        prior, held = bodies.noise * bodies.prior, bodies.prior_std == 0
+        prior, fixed = bodies.noise * bodies.prior, bodies.prior_std == 0
+        known = np.where(fixed, bodies.centre, 0.0)
         right = right + prior @ bodies.centre
-        right = np.where(held, 0.0, right - metric @ np.where(held, bodies.centre, 0.0))
-        metric = np.where(held | held[:, None], 0.0, metric + prior)
+        right = np.where(fixed, 0.0, right - metric @ known)
+        metric = np.where(fixed | fixed[:, None], 0.0, metric + prior)
     eigen = scaled_eigen(metric, IDENTIFIABLE)
     theta = eigen.solve(right)
-    if held.any():
-        theta[held] = bodies.centre[held]
+    if fixed.any():
+        theta[fixed] = bodies.centre[fixed]
     variance = noise_variance(moments, weight, theta, eigen.rank)
     inflation, _ = _block_inflation(moments, weight, theta)
     return PlainEstimate(
@@ -432,8 +433,8 @@ def project(result, projector, features, effects=()):
     theta, metric = result.theta_unconstrained, result.posterior_metric
     # Coefficients of effects that must not be negative.
     positive = [
-        places[k]
-        for effect, places in effect_indices(effects, features.n_parameters_)
+        indices[k]
+        for effect, indices in effect_indices(effects, features.n_parameters_)
         for k, name in enumerate(effect.coefficients)
         if name in effect.nonnegative
     ]

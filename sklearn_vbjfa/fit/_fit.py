@@ -19,6 +19,7 @@ from sklearn_vbjfa.equations._equations import (
     regressor_rows,
     unexcited_entries,
 )
+from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 from sklearn_vbjfa.equations._plan import (
     check_count,
     effect_indices,
@@ -28,7 +29,6 @@ from sklearn_vbjfa.equations._plan import (
 from sklearn_vbjfa.equations._ranges import effect_ranges, sum_ranges
 from sklearn_vbjfa.equations._states import RecordingStates
 from sklearn_vbjfa.equations._torque_noise import common_waves, filtered_noise
-from sklearn_vbjfa.fit._bodies import DESCRIBED
 from sklearn_vbjfa.fit._estimate import (
     Estimate,
     PlainEstimate,
@@ -42,6 +42,7 @@ from sklearn_vbjfa.fit._estimate import (
     uninflated_covariance,
 )
 from sklearn_vbjfa.fit._gains import (
+    RelativeGains,
     common_gain,
     gain_indices,
     relative_gains,
@@ -57,11 +58,11 @@ from sklearn_vbjfa.robot._robot import IdentifiedRobot
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FitData:
-    """Recording, states and block numbers to which a robot is fitted."""
+    """Recording, states and blocks of rows to which a robot is fitted."""
 
     recording: Recording
     states: RecordingStates
-    numbering: object  # of the rows, see `assign_blocks`
+    blocks: BlockAssignment | None  # of the rows, see `assign_blocks`
     n_jobs: object = None
     # cache of columns that do not depend on the load, see `build_segments`
     load_free: dict = field(default_factory=dict, init=False)
@@ -103,7 +104,7 @@ class FitData:
         return [replace(x, weight=np.minimum(x.weight, z.weight), instruments=z.Phi)]
 
     def moments(self, segments, plan):
-        settings = {"n_jobs": self.n_jobs, "numbering": self.numbering}
+        settings = {"n_jobs": self.n_jobs, "blocks": self.blocks}
         return accumulate(segments, plan.lowpass, **settings)
 
 
@@ -115,13 +116,13 @@ class RobotFit:
     estimate: Estimate
     segments: tuple = ()  # of the fitted recording
     criteria: object = None  # of a refinement by simulation
-    # estimate that includes derivatives with respect to values in the model, if any
-    tangents: Estimate | None = None
+    # estimate whose moments include the derivatives by values in the model, if any
+    full_estimate: Estimate | None = None
 
     @classmethod
-    def of(cls, robot, result, identified, pieces=()):
+    def of(cls, robot, result, identified, segments=()):
         """Give a robot the parameters of an `Estimate`."""
-        # identified: (p,), bool; pieces: segments of the recording.
+        # identified: (p,), bool; segments: of the recording.
         input_std, output_std = result.noise()
         features, ranges = robot.features_, result.moments.ranges
         robot = replace(
@@ -132,7 +133,9 @@ class RobotFit:
             effect_ranges_=effect_ranges(features.friction_, robot.effects_, ranges),
             identifiable_=identified,
         )
-        return cls(robot=robot, estimate=result, segments=pieces).with_estimate(result)
+        return cls(robot=robot, estimate=result, segments=segments).with_estimate(
+            result
+        )
 
     def with_estimate(self, result, **changes):
         C = result.covariance
@@ -169,8 +172,8 @@ class RobotFit:
         robot = self.robot
         if not robot.effects_:
             return self
-        pieces = (x.loads(robot.plan.lowpass, robot.rigid) for x in self.segments)
-        load = sum_ranges(list(pieces))
+        loads = (x.loads(robot.plan.lowpass, robot.rigid) for x in self.segments)
+        load = sum_ranges(list(loads))
         motion, friction = self.estimate.moments.ranges, robot.features_.friction_
         ranges = effect_ranges(friction, robot.effects_, motion, load)
         return replace(self, robot=replace(robot, effect_ranges_=ranges))
@@ -190,7 +193,7 @@ class RobotFit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recipe:
-    """Settings of the estimation, independent of the robot and the recording."""
+    """Settings of the estimation, and the initial gains of unknown channels."""
 
     regressor: object = None
     joint_weights: object = "auto"
@@ -198,6 +201,7 @@ class Recipe:
     bodies: str = "free"
     description: object = None  # `BodyPrior` of the bodies
     gains: object = None
+    relative: RelativeGains | None = None  # where the iteration of the gains begins
     masses: dict  # known masses [kg] by body name
     alike: tuple = ()  # groups of joints with the same drive
 
@@ -206,7 +210,7 @@ class Recipe:
         n_required = len(robot.parameter_names_)
         if self.description is not None and np.isinf(robot.plan.cutoff):
             # Independent rows (poses) need not determine the described parameters.
-            n_required -= self.description.places.size
+            n_required -= self.description.indices.size
         check_count(moments, robot.standstill_, n_required)
         zeros = _zero_entries(robot, moments)
         result = estimate(
@@ -233,15 +237,16 @@ class Recipe:
         determined = identifiable(result.metric, free)
         return RobotFit.of(robot, result, determined, segments)
 
-    def fit_data(self, robot, source):
+    def fit_data(self, robot, data):
         """Fit a robot to its recording, in parallel if second moments suffice."""
-        pieces, rows = source.segments(robot), ()
+        segments, rows = data.segments(robot), ()
         if not from_moments(self.regressor):
             if has_fit_parameter(self.regressor, "instruments"):
-                rows = source.instrumental_equations(robot)
+                rows = data.instrumental_equations(robot)
             else:
-                rows = [equations(pieces, robot.plan.lowpass)]
-        return self.fit_moments(robot, source.moments(pieces, robot.plan), rows, pieces)
+                rows = [equations(segments, robot.plan.lowpass)]
+        moments = data.moments(segments, robot.plan)
+        return self.fit_moments(robot, moments, rows, segments)
 
 
 def _zero_entries(robot, moments):
@@ -261,11 +266,12 @@ def _with_load_uncertainty(result, robot):
     at, load = body_indices(robot).ravel(), np.zeros(len(C))
     load[at] = theta[at]
     products = result.moments.products(load)
-    for effect, places in effect_indices(robot.effects_, robot.features_.n_parameters_):
+    n_rigid = robot.features_.n_parameters_
+    for effect, indices in effect_indices(robot.effects_, n_rigid):
         row = products[effect.acts_on(nv)].sum(axis=0)
         if effect.needs == ("load",) and row @ load > 0:
             relative = row[at] / (row @ load)
-            slope[np.ix_(places, at)] = -np.outer(theta[places], relative)
+            slope[np.ix_(indices, at)] = -np.outer(theta[indices], relative)
     std = np.sqrt(np.diagonal((slope * ratio) @ C @ (slope * ratio).T))
     std = np.where(np.isfinite(result.std), std, result.std)
     C = np.where(np.isfinite(result.covariance), slope @ C @ slope.T, np.inf)
@@ -282,12 +288,12 @@ def _zero_excluded(result, excluded):
 # -- passes of a fit -------------------------------------------------------------------
 
 
-def fit_robot(recipe, robot, source, previous=None):
+def fit_robot(recipe, robot, data, previous=None):
     """Fit a robot to a recording, iterating loads, gains and effects in the model."""
     # previous: a fitted robot whose load initialises the first pass, or None.
-    relative = None
     if recipe.gains is not None:
-        relative = _initial_gains(recipe, robot, source)
+        relative = _initial_gains(recipe, robot, data)
+        recipe = replace(recipe, relative=relative)
         robot = _with_effects(robot, with_gains(robot.effects_, relative.gains))
     load, passes = _initial_load(previous, robot), robot.plan.passes()
     if load is not None:
@@ -297,27 +303,26 @@ def fit_robot(recipe, robot, source, previous=None):
             for model in (previous, robot)
         )
         passes = passes[-1:] if previous_effects >= effects else passes[1:]
-    fit = run_passes(recipe, robot, source, relative, passes, load)
-    steady = without_steps(fit.robot, source)
-    if steady is not None:
-        source, plan, load = steady, fit.robot.plan, fit.robot.load_parameters
-        fit = run_passes(recipe, robot, source, relative, [plan], load)
-    sharp = with_corners(fit.robot, source)
-    if sharp is not None:
-        fit = _fit_with_corners(recipe, sharp, source, relative, fit)
+    fit = run_passes(recipe, robot, data, passes, load)
+    corrected = without_command_ripple(fit.robot, data)
+    if corrected is not None:
+        data, plan, load = corrected, fit.robot.plan, fit.robot.load_parameters
+        fit = run_passes(recipe, robot, data, [plan], load)
+    corners = velocity_corners(fit.robot, data)
+    if corners is not None:
+        fit = _fit_with_corners(recipe, fit, data, corners)
     return fit.with_load_ranges()
 
 
-def _fit_with_corners(recipe, sharp, source, relative, smooth):
-    # sharp: robot with corrected corners; smooth: the fit without correction. The jump
-    # assumes free other joints; in a stiff loop with a low cut-off its error may exceed
-    # the correction. Joints whose residual grows are not corrected.
-    load, fits = smooth.robot.load_parameters, [smooth]
-    joints = np.ones(sharp.plan.standstill.size, dtype=bool)
+def _fit_with_corners(recipe, smooth, data, corners):
+    # smooth: the fit without corners. The corners (nv,) assume free other joints; in a
+    # stiff loop with a low cut-off their error may exceed the correction. Joints whose
+    # residual grows are not corrected.
+    robot, load, fits = smooth.robot, smooth.robot.load_parameters, [smooth]
+    joints = np.ones(corners.size, dtype=bool)
     while joints.any() and len(fits) < _MAX_CORNER_FITS:
-        plan = replace(sharp.plan, corners=np.where(joints, sharp.plan.corners, 0.0))
-        robot = replace(sharp, plan=plan)
-        fits.append(run_passes(recipe, robot, source, relative, [plan], load))
+        plan = replace(robot.plan, corners=np.where(joints, corners, 0.0))
+        fits.append(run_passes(recipe, robot, data, [plan], load))
         worse = joints & (fits[-1].squares() > smooth.squares())
         if not worse.any():
             return _inflate_covariance(fits[-1], smooth)
@@ -331,7 +336,9 @@ def _inflate_covariance(fit, other):
     # joints. Its error has the same sign in all joints, so the scatter of the residual
     # between blocks of time does not reveal it.
     result, std, covariance = fit.estimate, fit.estimate.std, fit.estimate.covariance
-    step = DESCRIBED * (result.theta_unconstrained - other.estimate.theta_unconstrained)
+    step = _CORNER_ERROR * (
+        result.theta_unconstrained - other.estimate.theta_unconstrained
+    )
     step = np.where(std > 0, step, 0.0)
     if covariance is not None:
         covariance = covariance + np.outer(step, step)
@@ -339,14 +346,14 @@ def _inflate_covariance(fit, other):
     return fit.with_estimate(replace(result, **changes))
 
 
-def run_passes(recipe, robot, source, relative, passes, load):
+def run_passes(recipe, robot, data, passes, load):
     """Fit a robot with each plan in turn, then iterate the values in the model."""
     for plan in passes:
         trial = replace(robot, plan=plan, load_parameters=load)
-        fit = recipe.fit_data(trial, source)
-        load = fit.robot.parameters_of_load()
+        fit = recipe.fit_data(trial, data)
+        load = fit.robot.next_load_parameters()
     if any(isinstance(effect, InModel) for effect in robot.effects_):
-        fit = iterate_corrections(recipe, fit, source, relative)
+        fit = iterate_corrections(recipe, fit, data)
     return fit
 
 
@@ -373,9 +380,9 @@ def _initial_load(previous, robot):
     return np.concatenate([previous.bodies(previous.theta_).ravel(), *loads])
 
 
-def _initial_gains(recipe, robot, source):
+def _initial_gains(recipe, robot, data):
     first_pass = replace(robot, plan=robot.plan.passes()[0])
-    moments = source.moments(source.segments(first_pass), first_pass.plan)
+    moments = data.moments(data.segments(first_pass), first_pass.plan)
     units = [] if isinstance(recipe.gains, str) else list(recipe.gains)
     return relative_gains(
         moments.zeroed(_zero_entries(first_pass, moments)),
@@ -383,13 +390,12 @@ def _initial_gains(recipe, robot, source):
     )
 
 
-def iterate_corrections(recipe, fit, source, relative):
-    # relative: initial `RelativeGains`, or None.
-    fit, values = _correct_values(recipe, fit, source, relative)
+def iterate_corrections(recipe, fit, data):
+    fit, values = _correct_values(recipe, fit, data)
     for effect in fit.robot.effects_:
         if isinstance(effect, CommandDelay):
-            check_delay(effect.delay, source.recording)
-    common = None
+            check_delay(effect.delay, data.recording)
+    relative, common = recipe.relative, None
     if relative is not None:
         common, gain_covariance = common_gain(
             recipe.masses, fit.robot, relative, values.estimate
@@ -398,7 +404,7 @@ def iterate_corrections(recipe, fit, source, relative):
             gains = common.factor * fit.robot.features_.gains_
             robot = _with_effects(fit.robot, with_gains(fit.robot.effects_, gains))
             load = robot.load_parameters / common.factor
-            fit = recipe.fit_data(replace(robot, load_parameters=load), source)
+            fit = recipe.fit_data(replace(robot, load_parameters=load), data)
     robot, result, indices = fit.robot, fit.estimate, values.indices
     arrays = result.theta, result.theta_unconstrained, result.std, robot.identifiable_
     theta, unconstrained, std, identified = map(np.copy, arrays)
@@ -437,30 +443,31 @@ def iterate_corrections(recipe, fit, source, relative):
     fit = fit.with_estimate(corrected, identifiable_=identified, gains_=gains)
     moments, weight = values.moments, result.joint_weights
     metric = denoised(moments.total(weight), moments.total_noise(weight))
-    tangents = replace(result, metric=metric, moments=moments.in_stretches())
-    return replace(fit, segments=source.segments(fit.robot), tangents=tangents)
+    full = replace(result, metric=metric, moments=moments.in_stretches())
+    return replace(fit, segments=data.segments(fit.robot), full_estimate=full)
 
 
 def _changes_bodies(robot):
     return any(isinstance(x, InModel) and x.of_bodies for x in robot.effects_)
 
 
-def _correct_values(recipe, fit, source, relative):
+def _correct_values(recipe, fit, data):
     """Iterate the values in the model; return the last fit and its `ModelValues`."""
     # Equations with derivative columns also serve the next fit, which omits these
     # columns and takes the load of the fit before.
     corrected, factors, last_step, had_converged = fit.robot, 1.0, 0.0, False
     loaded = needs_load(corrected.effects_)
     for iteration in range(MAX_CORRECTIONS):
-        robot = replace(corrected, load_parameters=fit.robot.parameters_of_load())
-        segments = source.segments(robot, tangents=True)
-        moments = source.moments(segments, robot.plan)
+        robot = replace(corrected, load_parameters=fit.robot.next_load_parameters())
+        segments = data.segments(robot, tangents=True)
+        moments = data.moments(segments, robot.plan)
         if iteration and loaded:
-            fit = _refit(recipe, robot, source, moments)
+            fit = _refit(recipe, robot, data, moments)
         zeros = _zero_entries(robot, moments)
         n_rigid = robot.features_.n_parameters_
-        if relative is not None:
-            zeros[:, gain_indices(robot.effects_, n_rigid)[relative.fixed]] = True
+        if recipe.relative is not None:
+            gains = gain_indices(robot.effects_, n_rigid)
+            zeros[:, gains[recipe.relative.fixed]] = True
         # A prior on the bodies would keep a value of the geometry where it is.
         bodies = None if _changes_bodies(robot) else fit.estimate.bodies
         values = ModelValues.of(
@@ -485,30 +492,30 @@ def _correct_values(recipe, fit, source, relative):
             stacklevel=6,
         )
     if iteration and not loaded:
-        fit = _refit(recipe, robot, source, moments)
-    robot = replace(fit.robot, load_parameters=fit.robot.parameters_of_load())
+        fit = _refit(recipe, robot, data, moments)
+    robot = replace(fit.robot, load_parameters=fit.robot.next_load_parameters())
     return replace(fit, robot=robot), values
 
 
-def _refit(recipe, robot, source, moments):
+def _refit(recipe, robot, data, moments):
     """Fit a corrected robot to moments that include derivative columns."""
     if not from_moments(recipe.regressor):
-        return recipe.fit_data(robot, source)
+        return recipe.fit_data(robot, data)
     value_columns = robot.linear_part(np.ones(moments.g.shape[1])) == 0.0
     linear_moments = moments.zeroed(np.broadcast_to(value_columns, moments.g.shape))
-    return recipe.fit_moments(robot, linear_moments, segments=source.segments(robot))
+    return recipe.fit_moments(robot, linear_moments, segments=data.segments(robot))
 
 
 # -- refinement by simulation ----------------------------------------------------------
 
 
-def refine_fit(recipe, fit, source, window):
+def refine_fit(recipe, fit, data, window):
     robot = fit.robot
     # Here values of effects in the model have no columns.
-    result = recipe.fit_data(robot, source).estimate
+    result = recipe.fit_data(robot, data).estimate
     result = replace(result, std=robot.theta_std_)
-    data = source.recording, source.states
-    result, criteria = refine(robot, result, *data, window, recipe.projector)
+    motion = data.recording, data.states
+    result, criteria = refine(robot, result, *motion, window, recipe.projector)
     ranges = robot.effect_ranges_
     fit = RobotFit.of(robot, result, robot.identifiable_, fit.segments)
     robot = replace(fit.robot, effect_ranges_=ranges)
@@ -641,9 +648,9 @@ def _bounded_step(effect, step):
 _BLOCKS, _BLOCK_ROWS, _BLOCK_FILTERS, _LAG_DEVIATIONS = 4, 1000, 10, 4.0
 
 
-def suggests_lag(recipe, fit, source):
+def suggests_lag(recipe, fit, data):
     """Return whether an excerpt suggests that all torques lag, or lead."""
-    robot, recording = fit.robot, source.recording
+    robot, recording = fit.robot, data.recording
     plan, effects = robot.plan, (*robot.effects_, TorqueLag())
     length = max(_BLOCK_ROWS, 2 * _BLOCK_FILTERS * plan.lowpass.half)
     rows = []
@@ -655,9 +662,9 @@ def suggests_lag(recipe, fit, source):
             rows.append(part)
     rows = rows[:: max(len(rows) // _BLOCKS, 1)] or list(recording.segments)[:_BLOCKS]
     excerpt = take_rows(recording, rows, range(len(rows)))
-    states, _ = observe(excerpt, plan.state_estimator, False, source.n_jobs)
+    states, _ = observe(excerpt, plan.state_estimator, False, data.n_jobs)
     robot = replace(robot, plan=replace(plan, effects=effects))
-    data = replace(source, recording=excerpt, states=states, numbering=None)
+    data = replace(data, recording=excerpt, states=states, blocks=None)
     moments = data.moments(data.segments(robot, tangents=True), plan)
     if moments is None:
         return False
@@ -677,47 +684,46 @@ def suggests_lag(recipe, fit, source):
 _N_POSES = 64
 # A ripple is corrected if it is equivalent to this delay or more, in sample periods.
 _MIN_RIPPLE_DELAY = 5e-4
-# Maximum number of fits with corners, including the one without.
-_MAX_CORNER_FITS = 3
+# Maximum number of fits with corners, including the one without, and error of the
+# correction as a share of what it changes.
+_MAX_CORNER_FITS, _CORNER_ERROR = 3, 0.2
 # Frequency grid of the integral, in cut-off frequencies; the truncation is 1e-3.
 _LOWEST, _HIGHEST, _COUNT = 0.1, 1e3, 4000
 
 
-def with_corners(robot, source):
-    """Return a fitted robot whose plan has corners; None without corners."""
+def velocity_corners(robot, data):
+    """Return `Plan.corners` (nv,) of a fitted robot; None without corners."""
     # Requires a known control law: an unknown controller may compensate the jump.
     plan = robot.plan
-    estimator, feedback = plan.state_estimator, source.recording.feedback
+    estimator, feedback = plan.state_estimator, data.recording.feedback
     if feedback is None or estimator is None:
         return None
-    terms, inertia = _joint_dynamics(robot, source)
-    recording = source.recording
+    terms, inertia = _joint_dynamics(robot, data)
+    recording = data.recording
     command = recording.command + recording.torques(plan.delay) - recording.tau
-    arguments = source.states.full, plan, robot.features_
+    arguments = data.states.full, plan, robot.features_
     rows = regressor_rows(recording, *arguments, theta=robot.load_parameters)
     torques = [np.concatenate([x.effects(robot.theta_) for x in rows]), command]
-    from_effects, from_commands = _torque_jumps(torques, robot, source)
+    from_effects, from_commands = _torque_jumps(torques, robot, data)
     dry = terms["coulomb"] + from_effects
     if not dry.any():
         return None
     # Feedforward of friction compensates the jump.
     dry = np.maximum(dry - from_commands, 0.0)
     damping = feedback[1] + np.maximum(terms["viscous"], 0.0)
-    jumps = [
-        jump(*row) for row in zip(dry, inertia, damping, feedback[0], estimator.cutoff_)
-    ]
-    return replace(robot, plan=replace(plan, corners=np.array(jumps)))
+    rows = zip(dry, inertia, damping, feedback[0], estimator.cutoff_)
+    return np.array([equivalent_corner(*row) for row in rows])
 
 
-def without_steps(robot, source):
-    """Remove the response to steps of commands from a source; None if it is small."""
+def without_command_ripple(robot, data):
+    """Remove the ripple due to steps of commands from the data; None if it is small."""
     # A joint responds to each step of a zero-order-hold command with a ripple that
     # sampled positions hide: the double integral of a sawtooth B1, by the Bernoulli
     # polynomials B3 and, for the damping, B4, times the slope of the command.
-    recording, dt = source.recording, source.recording.dt
+    recording, dt = data.recording, data.recording.dt
     if recording.feedback is None or robot.plan.state_estimator is None:
         return None
-    terms, inertia = _joint_dynamics(robot, source)
+    terms, inertia = _joint_dynamics(robot, data)
     phase = robot.plan.delay / dt % 1.0
     cubic = phase * (phase - 0.5) * (phase - 1.0) * dt**3 / 6.0
     quartic = ((phase * (phase - 1.0)) ** 2 - 1.0 / 30.0) * dt**4 / 24.0
@@ -738,13 +744,15 @@ def without_steps(robot, source):
         q=recording.q - position,
         tau=recording.tau + stiffness * position + damping * speed,
     )
-    halves = source.states.halves is not None
-    states, _ = observe(recording, robot.plan.state_estimator, halves, source.n_jobs)
-    return replace(source, recording=recording, states=states)
+    halves = data.states.halves is not None
+    states, _ = observe(recording, robot.plan.state_estimator, halves, data.n_jobs)
+    return replace(data, recording=recording, states=states)
 
 
-def jump(dry, inertia, damping, stiffness, cutoff):
-    """Return half of an acceleration jump that rounds a velocity as the drive does."""
+def equivalent_corner(dry, inertia, damping, stiffness, cutoff):
+    """Return half of an acceleration jump that smoothing rounds off as much."""
+    # As much as the response of the joint and its drive to a step of 2 dry: the part of
+    # its velocity at the reversal that the smoother removes.
     if not (np.isfinite(cutoff) and inertia > 0 and dry > 0):
         return 0.0
     x = np.geomspace(_LOWEST, _HIGHEST, _COUNT)
@@ -755,12 +763,12 @@ def jump(dry, inertia, damping, stiffness, cutoff):
     return max(rounded, 0.0) / _smoothing.rounding(cutoff)
 
 
-def _torque_jumps(torques, robot, source):
+def _torque_jumps(torques, robot, data):
     """Return half of the jump (nv,) of each torque (n, nv) at velocity reversals."""
     # Least squares on the sign of the velocity, after subtracting smoothed signals.
-    estimator, groups = robot.plan.state_estimator, source.recording.groups
-    nv = source.recording.nv
-    speed = np.concatenate([states[slice(None)] for states in source.states.full])
+    estimator, groups = robot.plan.state_estimator, data.recording.groups
+    nv = data.recording.nv
+    speed = np.concatenate([states[slice(None)] for states in data.states.full])
     signs = np.sign(speed.reshape(len(speed), -1)[:, nv : 2 * nv])
     signs, *torques = (
         x - estimator.transform(x, groups=groups)[:, :nv] for x in (signs, *torques)
@@ -770,16 +778,16 @@ def _torque_jumps(torques, robot, source):
     return [(torque * signs).sum(axis=0) / power for torque in torques]
 
 
-def _joint_dynamics(robot, source):
+def _joint_dynamics(robot, data):
     """Return friction (nv,) by name, and inertia (nv,) with all other joints free."""
     # The inertia is the mean over poses. The mass matrix comes from inverse dynamics,
     # since fitted bodies need not be physically consistent.
-    nv = source.recording.nv
+    nv = data.recording.nv
     terms = dict.fromkeys(("coulomb", "viscous", "rotor_inertia"), np.zeros(nv))
     terms |= dict(zip(robot.features_.friction_, robot.bodies(robot.theta_)[:, 10:].T))
     rotors = np.diag(np.maximum(terms["rotor_inertia"], 0.0))
     a, inertias = np.vstack([np.zeros(nv), np.eye(nv)]), []
-    for states in source.states.full:
+    for states in data.states.full:
         for i in np.unique(np.linspace(0, states.shape[0] - 1, _N_POSES).astype(int)):
             q = np.tile(states[slice(i, i + 1)].reshape(-1)[:nv], (nv + 1, 1))
             at_rest, *columns = robot.rigid(q, 0.0 * a, a)

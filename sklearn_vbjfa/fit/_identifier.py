@@ -295,7 +295,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         """
         self._declare()
         arguments = X, y, groups, sample_weight, t, signals
-        return self._fit_inspected(recording_of_arguments(self, *arguments))
+        return self._fit_and_inspect(recording_of_arguments(self, *arguments))
 
     def fit_recording(self, recording):
         """Identify the robot from a `Recording`.
@@ -312,14 +312,14 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             Fitted estimator.
         """
         self._declare()
-        return self._fit_inspected(checked_recording(self, recording))
+        return self._fit_and_inspect(checked_recording(self, recording))
 
-    def _fit_inspected(self, recording):
+    def _fit_and_inspect(self, recording):
         """Fit; warn about the channels if the fit contradicts the description."""
         self._fit(recording, inspect=True)
         lag = self.warned_lag(recording) if self._suspect else 0.0
         if lag and (self.drive, self.used_gains) == (None, None):
-            self.fit_inspected(recording, lag)
+            self.fit_without_inspection(recording, lag)
         return self
 
     def warned_lag(self, recording):
@@ -335,7 +335,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         # Returns () instead of the effect if the initial value is zero.
         if not lag:
             return (), np.nan
-        refit = clone(self).fit_inspected(recording, lag, compare=False)
+        refit = clone(self).fit_without_inspection(recording, lag, compare=False)
         return refit.effects_[-1:], refit.theta_std_[-1:]
 
     def findings(self, recording):
@@ -348,26 +348,26 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self._feedback = recording.feedback
         plan, recording, states = self._prepare(recording)
         robot = self._declared_robot(plan)
-        source = FitData(
+        data = FitData(
             recording=recording,
             states=states,
-            numbering=assign_blocks(recording, plan),
+            blocks=assign_blocks(recording, plan),
             n_jobs=self.n_jobs,
         )
         recipe = self._recipe()
         if self.drive is not None and self.drive.unsigned and recording.command is None:
-            source = with_signs(recipe, robot, source, previous)
-            recording = source.recording
-        fit = fit_robot(recipe, robot, source, previous)
+            data = with_signs(recipe, robot, data, previous)
+            recording = data.recording
+        fit = fit_robot(recipe, robot, data, previous)
         inspect = inspect and self.dt is not None and plan.lag is None
         self._suspect = inspect and (
             contradicted(recording, fit.errors(), fit.torque_size)
-            or suggests_lag(recipe, fit, source)
+            or suggests_lag(recipe, fit, data)
         )
         if self.fit_options.torque_noise is None:
             fit = fit.with_noise_facts(fit.robot.noise_facts(recording, self.n_jobs))
         if self.criterion == "simulation":
-            fit = refine_fit(recipe, fit, source, self.fit_options.window)
+            fit = refine_fit(recipe, fit, data, self.fit_options.window)
             self.criteria_ = fit.criteria
         return self._set_attributes(fit, compare)
 
@@ -395,7 +395,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     # -- for other subpackages ---------------------------------------------------------
 
-    def fit_inspected(self, recording, lag=0.0, compare=True, previous=None):
+    def fit_without_inspection(self, recording, lag=0.0, compare=True, previous=None):
         """Identify the robot from a recording whose channels were inspected."""
         # lag: initial value [s] of the lag of all torques, estimated as `torque_lag_`
         # unless zero; compare: whether to estimate the variance between recordings;
@@ -497,7 +497,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def _set_attributes(self, fit, compare=True):
         result, self._robot = fit.estimate, fit.robot
         if compare:
-            variance = between_recordings(fit.tangents or result, fit.robot)
+            variance = between_recordings(fit.full_estimate or result, fit.robot)
             self._robot = replace(fit.robot, recording_variance=variance)
         self.effects_, self.features_ = fit.robot.effects_, fit.robot.features_
         moments = replace(result.moments, blocks=None, recordings=None)

@@ -53,7 +53,7 @@ class AlikeValue:
     group: str  # name of the group of joints
     parameter: str  # such as "rotor_inertia"
     joints: tuple[str, ...]  # that share the value
-    places: tuple[int, ...]  # indices of their values in `RobotIdentifier.theta_`
+    indices: tuple[int, ...]  # of their values in `RobotIdentifier.theta_`
     value: float  # mean of the joints
     std: float  # standard deviation of that mean
     unit: str
@@ -62,17 +62,17 @@ class AlikeValue:
 
     def at(self, theta):
         """Return the value with the mean of the fitted parameters (p,)."""
-        return replace(self, value=float(theta[list(self.places)].mean()))
+        return replace(self, value=float(theta[list(self.indices)].mean()))
 
 
-def alike_joints(settings):
+def alike_joints(identifier):
     """Return groups of joints with the same drive, pairs of name and joints."""
-    alike = settings.fit_options.alike
+    alike = identifier.fit_options.alike
     if alike not in ("auto", None):
         raise ValueError(f"alike must be 'auto' or None; got {alike!r}.")
     # Not with unknown gains, nor with a custom regressor.
-    off = settings.used_gains is not None or settings.regressor is not None
-    return () if alike is None or off else _group_joints(settings.features_.nominal_)
+    off = identifier.used_gains is not None or identifier.regressor is not None
+    return () if alike is None or off else _group_joints(identifier.features_.nominal_)
 
 
 def _group_joints(model):
@@ -136,19 +136,19 @@ def _shared_values(groups, robot, std):
     excluded = excluded_columns(features, robot.effects_)
     for j in range(features.n_joints_):
         for k, name in enumerate(features.friction_):
-            place = j * per_joint + 10 + k
-            if declared(name).alike and place not in excluded:
-                joints.setdefault((name,), {})[j] = place
+            index = j * per_joint + 10 + k
+            if declared(name).alike and index not in excluded:
+                joints.setdefault((name,), {})[j] = index
     for effect, span in effect_indices(robot.effects_, features.n_parameters_):
-        for place, name in zip(span, effect.coefficients):
+        for index, name in zip(span, effect.coefficients):
             if effect.alike:
                 shape = tuple(sorted(effect.shape().items()))
                 key = (f"{effect.name}:{name}", type(effect), shape)
-                joints.setdefault(key, {})[effect.joint] = place
+                joints.setdefault(key, {})[effect.joint] = index
     values = []
     for name, alike in groups:
-        for key, places in joints.items():
-            index = np.array([places[j] for j in alike if j in places], dtype=int)
+        for key, by_joint in joints.items():
+            index = np.array([by_joint[j] for j in alike if j in by_joint], dtype=int)
             determined = np.isfinite(std[index]) & (std[index] > 0)
             index = index[determined]
             index = index[std[index] < _MAX_RATIO * std[index].min(initial=np.inf)]
@@ -227,8 +227,8 @@ def pool_joint_values(result, groups, robot):
         return result
     C, ratio = uninflated_covariance(result)
     wide, theta = C * np.outer(ratio, ratio), result.theta_unconstrained
-    index = np.concatenate([places for *_, places in shared])
-    ends = np.cumsum([places.size for *_, places in shared])
+    index = np.concatenate([indices for *_, indices in shared])
+    ends = np.cumsum([indices.size for *_, indices in shared])
     parts = tuple(np.split(np.arange(index.size), ends[:-1]))
     # In units of the mean of their part, with covariance inflated as in `std`.
     unit = np.empty(index.size)
@@ -258,11 +258,11 @@ def pool_joint_values(result, groups, robot):
             group=group,
             parameter=parameter,
             joints=tuple(labels[i] for i in part),
-            places=tuple(index[part].tolist()),
+            indices=tuple(index[part].tolist()),
             **_mean_and_scatter(mean[part], covariance[np.ix_(part, part)], unit[part]),
-            unit=robot.parameter_units_[places[0]],
+            unit=robot.parameter_units_[indices[0]],
         )
-        for (group, parameter, places), part in zip(shared, parts)
+        for (group, parameter, indices), part in zip(shared, parts)
     )
     return replace(pooled, alike=values)
 
@@ -349,7 +349,7 @@ def _rotor_references(result, robot):
     certain = np.isfinite(std) & (theta > _SIGNIFICANT * std)
     references = np.array(features.nominal_.armature, dtype=float)
     for group in result.alike:
-        places = np.flatnonzero(np.isin(indices, group.places))
+        places = np.flatnonzero(np.isin(indices, group.indices))
         sources = places[certain[places]]
         if group.parameter == "rotor_inertia" and sources.size:
             unknown = places[~(references[places] > 0)]
@@ -378,10 +378,12 @@ def between_recordings(result, robot):
     # result: `Estimate`, in which values in the model are corrections; robot: its
     # parameters are the values themselves.
     index, values = _varying_parameters(robot), robot.theta_
-    stats, weight = result.moments, result.joint_weights
-    if not stats.recordings or result.covariance is None:
+    moments, weight = result.moments, result.joint_weights
+    if not moments.recordings or result.covariance is None:
         return None
-    keys, grams, scores = weighted_parts(stats, stats.recordings, weight, result.theta)
+    keys, grams, scores = weighted_parts(
+        moments, moments.recordings, weight, result.theta
+    )
     power = grams[:, index, index]
     index = index[(power > 0).sum(axis=0) > 1]
     # Separate draws of values of which only the sum is determined would change it.
@@ -390,7 +392,7 @@ def between_recordings(result, robot):
         return None
     noise = _noise_within(result, keys, grams, scores, index)
     # At least rounding, if torques are fitted exactly.
-    noise = max(noise, _MIN_NOISE * (weight @ stats.yy) / stats.n[weight > 0].sum())
+    noise = max(noise, _MIN_NOISE * (weight @ moments.yy) / moments.n[weight > 0].sum())
     if not noise > 0:
         return None
     prior = 0.0 if result.bodies is None else result.bodies.prior
@@ -399,7 +401,7 @@ def between_recordings(result, robot):
     spread = np.sqrt(keys[:, 1].max() + effects.shares)
     size, weights = effects.unit * spread, effects.solve()
     return BetweenRecordings(
-        count=1 if stats.blocks is None else grams.shape[0],
+        count=1 if moments.blocks is None else grams.shape[0],
         places=index,
         size=size,
         weights=weights,
@@ -409,20 +411,20 @@ def between_recordings(result, robot):
 
 def _noise_within(result, keys, grams, scores, index):
     # Each recording has separate values, whose differences do not count as noise.
-    stats, weight = result.moments, result.joint_weights
+    moments, weight = result.moments, result.joint_weights
     selected = scores[:, index]
     inverse = [
         scaled_eigen(G[np.ix_(index, index)], IDENTIFIABLE).inverse() for G in grams
     ]
     explained = sum(s @ inv @ s for s, inv in zip(selected, inverse))
     rank = scaled_eigen(result.metric, IDENTIFIABLE).rank + (selected != 0).sum()
-    noise = noise_variance(stats, weight, result.theta, rank, explained)
-    if stats.blocks is None:
+    noise = noise_variance(moments, weight, result.theta, rank, explained)
+    if moments.blocks is None:
         # For stretches of one recording, inflation is that of the fit.
         return noise * max(result.pooled, 1.0)
     if not noise > 0:
         return noise
-    labels, gram, score = weighted_parts(stats, stats.blocks, weight, result.theta)
+    labels, gram, score = weighted_parts(moments, moments.blocks, weight, result.theta)
     if set(labels[:, 0]) != set(keys[:, 0]):
         # Blocks are phases of a repeated motion, not parts of recordings.
         return noise * max(result.pooled, 1.0)

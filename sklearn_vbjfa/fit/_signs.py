@@ -16,25 +16,25 @@ _MAX_RESIDUAL = 0.05
 _ROUNDING = 1e-16
 
 
-def with_signs(recipe, robot, source, previous):
+def with_signs(recipe, robot, data, previous):
     """Estimate the signs of unsigned torques; return the signed `FitData`."""
     # robot: without parameters; previous: as for `fit_robot`.
-    recording = source.recording
+    recording = data.recording
     sizes, weight = recording.tau, recording.weight
 
     def fitted(tau, weight=weight):
         changed = replace(recording, tau=tau, weight=weight)
         return fit_robot(
-            recipe, robot, replace(source, recording=changed), previous
+            recipe, robot, replace(data, recording=changed), previous
         ).robot
 
     bodies = nominal_parameters(robot.features_.model_)
-    tau, doubtful = _initial_signs(robot.features_, source, bodies)
+    tau, doubtful = _initial_signs(robot.features_, data, bodies)
     if doubtful.any() and not doubtful.all():
         # The joints that carry them determine the bodies of uncertain joints.
         base_weight = np.ones(sizes.shape) if weight is None else weight
         base = fitted(tau, np.where(doubtful, 0.0, base_weight)).torque_model()
-        refined, _ = _initial_signs(robot.features_, source, base.bodies)
+        refined, _ = _initial_signs(robot.features_, data, base.bodies)
         tau = np.where(doubtful, refined, tau)
     for _ in range(_MAX_PASSES):
         updated = signed(fitted(tau), recording).tau
@@ -42,7 +42,7 @@ def with_signs(recipe, robot, source, previous):
         tau = updated
         if (change <= _TOLERANCE * np.sqrt((sizes**2).mean(axis=0))).all():
             break
-    return replace(source, recording=replace(recording, tau=tau, command=tau))
+    return replace(data, recording=replace(recording, tau=tau, command=tau))
 
 
 def signed(robot, recording):
@@ -61,10 +61,10 @@ def expected(sizes, predicted):
     return sizes * np.tanh(sizes * predicted / variance)
 
 
-def _initial_signs(features, source, bodies):
+def _initial_signs(features, data, bodies):
     """Return torques (n, nv) with initial signs, and joints (nv,) of uncertain sign."""
-    sizes = source.recording.tau
-    states = np.vstack([states[slice(None)] for states in source.states.full])
+    sizes = data.recording.tau
+    states = np.vstack([states[slice(None)] for states in data.states.full])
     A = signed_columns(states, features.torques(*np.split(states, 3, axis=1), bodies))
     coefficients = [most_explaining(x, sizes[:, j]) for j, x in enumerate(A)]
     predicted = np.column_stack([x @ coef for x, coef in zip(A, coefficients)])

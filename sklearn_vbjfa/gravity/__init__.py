@@ -176,7 +176,7 @@ def gravity_poses(model, n_poses=20, *, fitted=None, random_state=0):
     if fitted is None:
         bodies = BodyPrior.of(features.model_, 10)
         covariance = np.zeros(2 * [features.n_parameters_])
-        inverse, ix = DESCRIBED * np.linalg.inv(bodies.root), bodies.places
+        inverse, ix = DESCRIBED * np.linalg.inv(bodies.root), bodies.indices
         covariance[ix[:, :, None], ix[:, None]] = inverse @ inverse.transpose(0, 2, 1)
         noise = _NOISE * np.maximum(torque, 0.01 * torque.max())
     else:
@@ -307,7 +307,7 @@ def _payload(robot, bodies):
     # All bodies but the last are fixed to the description.
     fit, model = robot.estimate_, robot.features_.nominal_
     mass = robot.parameter_names_.index(f"{robot.joint_names_[-1]}:m")
-    loaded = bodies.part(bodies.places[:, 0] != mass)
+    loaded = bodies.part(bodies.indices[:, 0] != mass)
     loaded = apply_description(fit, loaded, "fixed")
     excess, std = loaded.theta[mass] - model.inertias[model.nv].mass, loaded.std[mass]
     squares = (fit.moments.residual_squares(x.theta) for x in (loaded, fit))
@@ -320,7 +320,7 @@ def _restore_inertias(robot, bodies):
     """Restore the described inertias about the centres of mass."""
     pin = import_pinocchio()
     theta, status = robot.theta_.copy(), np.array(robot.robot_.known_, dtype=object)
-    for described, ix in zip(bodies.centre, bodies.places):
+    for described, ix in zip(bodies.centre, bodies.indices):
         body = pin.Inertia.FromDynamicParameters(theta[ix])
         body.inertia = pin.Inertia.FromDynamicParameters(described).inertia
         theta[ix], status[ix[4:]] = body.toDynamicParameters(), "from the description"

@@ -338,7 +338,7 @@ def _without_log(robot):
         theta_=np.delete(robot.theta_, gone),
         effect_ranges_=(*ranges[:n], *compress(ranges[n:], kept)),
     )
-    load = None if robot.load_parameters is None else out.parameters_of_load()
+    load = None if robot.load_parameters is None else out.next_load_parameters()
     return replace(out, load_parameters=load)
 
 

@@ -881,8 +881,8 @@ class IdentifiedRobot:
         by_key = {effect.key(): effect for effect in (*self.effects_, *effects)}
         return replace(self, features_=self.features_.corrected(by_key.values()))
 
-    def parameters_of_load(self):
-        """Parameters with which the load is computed, see `make_motion`."""
+    def next_load_parameters(self):
+        """Parameters with which the next fit computes the load, see `make_motion`."""
         rigid, coefs = np.split(self.theta_, [self.features_.n_parameters_])
         return np.append(rigid, pick_load_free(self.effects_, coefs))
 
@@ -895,7 +895,7 @@ class IdentifiedRobot:
         known = np.broadcast_to(np.isfinite(std), values.shape)
         load = self.load_parameters
         if load is None and needs_load(effects):
-            load = self.parameters_of_load()
+            load = self.next_load_parameters()
         plain = sum(len(e.coefficients) for e in effects if is_load_free(e))
         of_joint = {x.joint: x for x in self.effect_ranges_}
         ranges = [

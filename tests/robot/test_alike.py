@@ -113,7 +113,7 @@ def test_offsets_are_not_shared(model, recording):
 def test_the_posterior_has_what_is_shared(model, recording):
     free = fitted(model, recording, alike=None)
     robot = fitted(model, recording)
-    own = list(value_of(robot, "calf", "rotor_inertia").places)
+    own = list(value_of(robot, "calf", "rotor_inertia").indices)
     assert np.all(robot.theta_std_[own] < free.theta_std_[own])
     precision, centre = robot.body_prior()
     along = precision[np.ix_(own, own)]

@@ -66,16 +66,16 @@ def recording():
 def test_without_torques_a_body_is_as_described():
     own = BodyPrior.of(a_robot(), 14)
     found = around(own, np.zeros((42, 42)), np.zeros(42))
-    np.testing.assert_allclose(found.theta[own.places], own.centre, rtol=1e-12)
+    np.testing.assert_allclose(found.theta[own.indices], own.centre, rtol=1e-12)
     # A half-Cauchy scale up to one has a mean square of its own.
     grid = np.geomspace(1e-4, 1.0, 100001)
     prior = 1.0 / (1.0 + (grid / DESCRIBED) ** 2)
     mean = integrate.trapezoid(prior * grid**2, grid) / integrate.trapezoid(prior, grid)
     size = np.sqrt(mean * (np.linalg.inv(own.root) ** 2).sum(axis=2))
-    np.testing.assert_allclose(found.prior_std[own.places], size, rtol=5e-3)
+    np.testing.assert_allclose(found.prior_std[own.indices], size, rtol=5e-3)
     assert np.isnan(found.prior_std).sum() == 12
     std = np.sqrt(np.diagonal(found.covariance))
-    assert little_learned(std, found.prior_std)[own.places].all()
+    assert little_learned(std, found.prior_std)[own.indices].all()
     assert not found.departures
     # Nothing tells the friction.
     assert np.isinf(np.diagonal(found.covariance)[10:14]).all()
@@ -83,10 +83,10 @@ def test_without_torques_a_body_is_as_described():
 
 def test_an_exact_shape_does_not_make_a_mass_exact():
     own, A = BodyPrior.of(a_robot(), 14), np.zeros((42, 42))
-    for k, (root, places) in enumerate(zip(own.root, own.places)):
+    for k, (root, indices) in enumerate(zip(own.root, own.indices)):
         size = root @ own.centre[k] * (k == 0)
         seen = np.eye(10) - np.outer(size, size) / max(size @ size, 1e-9)
-        A[np.ix_(places, places)] = 1e8 * root.T @ seen @ root
+        A[np.ix_(indices, indices)] = 1e8 * root.T @ seen @ root
     found = around(own, A, A @ own.vector(42))
     assert np.sqrt(found.covariance[0, 0]) > 0.04 * own.centre[0, 0]
 

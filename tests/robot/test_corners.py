@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from sklearn_vbjfa import RobotIdentifier, StateEstimator, load_identified
 from sklearn_vbjfa.effects import Rest
-from sklearn_vbjfa.fit import jump
+from sklearn_vbjfa.fit import equivalent_corner
 from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot import FitOptions, PDDrive
 from tests.robot.test_drives import one_joint
@@ -44,7 +44,9 @@ def test_the_jump_is_what_a_simulated_drive_answers():
     rounding = StateEstimator(DT, cutoff=cutoff).fit(np.zeros((99, 1))).rounding()
     # where it is not smoothed it is zero there
     assert_allclose(
-        jump(dry, inertia, damping, stiffness, cutoff), -smoothed / rounding, rtol=0.01
+        equivalent_corner(dry, inertia, damping, stiffness, cutoff),
+        -smoothed / rounding,
+        rtol=0.01,
     )
 
 

@@ -173,7 +173,7 @@ def test_a_fit_after_another_has_its_load():
     def after(fitted):
         names, load = alone.joint_names_, fitted.robot_
         recording = take_arrays(STATES, DECLARED + OF_LOAD, dt=DT, joint_names=names)
-        return clone(late).fit_inspected(recording, previous=load)
+        return clone(late).fit_without_inspection(recording, previous=load)
 
     alone = clone(late).fit(STATES, DECLARED + OF_LOAD)
     # The fit without it is the first pass, that with another plain effect nearly.

@@ -86,9 +86,9 @@ def test_slow_residuals_count():
 
 
 def test_blocks_are_those_of_their_recordings():
-    numbering = BlockAssignment.of([400, 30, 370])
-    assert numbering.rows == 20
-    keys, starts = numbering.parts(2, slice(30, 75))
+    assignment = BlockAssignment.of([400, 30, 370])
+    assert assignment.rows == 20
+    keys, starts = assignment.parts(2, slice(30, 75))
     assert keys.tolist() == [[2, 1], [2, 2], [2, 3]]
     assert starts.tolist() == [0, 10, 30]
     # a hundred recordings are three to a block
@@ -100,12 +100,12 @@ def test_blocks_are_those_of_their_recordings():
 def test_blocks_of_a_motion_that_repeats_are_its_phases():
     """Three periods of forty rows in two recordings, the second begins within one."""
     t = np.r_[0:80, 20:60]
-    numbering = BlockAssignment.of([80, 40], (np.zeros(120, dtype=int), t % 40.0))
-    assert numbering.rows == 10
-    keys, starts = numbering.parts(0, slice(35, 75))
+    assignment = BlockAssignment.of([80, 40], (np.zeros(120, dtype=int), t % 40.0))
+    assert assignment.rows == 10
+    keys, starts = assignment.parts(0, slice(35, 75))
     assert keys.tolist() == [[0, 3], [0, 0], [0, 1], [0, 2], [0, 3]]
     assert starts.tolist() == [0, 5, 15, 25, 35]
-    keys, starts = numbering.parts(1, slice(0, 40))
+    keys, starts = assignment.parts(1, slice(0, 40))
     assert keys.tolist() == [[0, 2], [0, 3], [0, 0], [0, 1]]
     assert starts.tolist() == [0, 10, 20, 30]
 

@@ -241,9 +241,9 @@ def _blocks(view):
     """Return keys of the blocks of a view (n_blocks, 2), and the block of each row."""
     lengths = np.diff([*view.starts, view.index.size]).tolist()
     phases = view.phases and (view.phases[0], view.phases[1] / view.step)
-    numbering, keys = BlockAssignment.of(lengths, phases), []
+    assignment, keys = BlockAssignment.of(lengths, phases), []
     for number, n in enumerate(lengths):
-        block_keys, starts = numbering.parts(number, slice(0, n))
+        block_keys, starts = assignment.parts(number, slice(0, n))
         keys.append(np.repeat(block_keys, np.diff([*starts, n]), axis=0))
     keys, label = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
     return keys, label.ravel()

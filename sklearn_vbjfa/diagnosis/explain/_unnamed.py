@@ -34,7 +34,7 @@ def supported_terms(fit, unnamed):
 def _residuals(fit):
     """Return the motion of a fit and its weighted residuals (m, nv)."""
     view, robot = fit.view, fit.identifier.robot_
-    motion = view.motion_of(robot.parameters_of_load(), robot.effects_)
+    motion = view.motion_of(robot.next_load_parameters(), robot.effects_)
     return motion, (view.equations.tau - fit.predicted(robot.theta_)) * view.root
 
 

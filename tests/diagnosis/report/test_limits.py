@@ -63,7 +63,7 @@ def test_values_of_joints_with_shared_drives():
             group="hip",
             parameter=parameter,
             joints=joints,
-            places=(),
+            indices=(),
             scatter=scatter,
             std=0.0003 / 1.645,
             unit="kg m^2",

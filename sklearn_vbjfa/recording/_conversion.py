@@ -8,7 +8,7 @@ import numpy as np
 
 from sklearn_vbjfa.recording._clock import SAME_DT, read_time, remove_odd_rows
 from sklearn_vbjfa.recording._drives import PDDrive
-from sklearn_vbjfa.recording._grid import FileRows, merge_sources
+from sklearn_vbjfa.recording._grid import RATE_RATIO, FileRows, merge_sources
 from sklearn_vbjfa.recording._layout import (
     channel_unit,
     find_layout,
@@ -228,6 +228,24 @@ def _sort_roles(table, layout, options, robot, notes):
     return ordered, names
 
 
+def _without_slow_joints(table, layout, options, robot, notes):
+    """Leave out named joints that few rows hold, such as those of a slow gripper."""
+    counts = {}
+    for role in layout.select(*options.kinds[:2]):
+        if isinstance(role.key, str) and role.key in (robot.names or layout.joints):
+            counts.setdefault(role.key, []).append(table.frame[role.column].count())
+    most = max(map(max, counts.values()), default=0)
+    slow = [key for key, n in counts.items() if min(n) < RATE_RATIO * most]
+    if not slow:
+        return table, layout
+    few = "have values in less than a fifth of the rows of others: left out."
+    notes.append(Loss(f"joint(s) {listed(slow)} {few}"))
+    kept = tuple(x for x in layout.roles if x.key not in slow)
+    unused = [x.column for x in layout.roles if x.key in slow]
+    table = replace(table, frame=table.frame.drop(columns=unused))
+    return table, replace(layout, roles=kept)
+
+
 def read_rows(table, options) -> FileRows:
     """Convert a table to complete rows, with notes on how it was read."""
     notes = list(table.notes)
@@ -242,6 +260,7 @@ def read_rows(table, options) -> FileRows:
             )
         options = replace(options, dt=options.dt or dt)
     layout = find_layout(table, options, robot)
+    table, layout = _without_slow_joints(table, layout, options, robot, notes)
     # Messages of other joints, such as those of a gripper, do not count.
     others = {x.key for x in layout.select(*options.kinds) if isinstance(x.key, str)}
     others = others.difference(robot.names or others)

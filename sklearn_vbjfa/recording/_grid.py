@@ -22,12 +22,14 @@ from sklearn_vbjfa.recording._clock import (
 )
 from sklearn_vbjfa.recording._drives import COMMANDS
 from sklearn_vbjfa.recording._recording import contiguous_groups
-from sklearn_vbjfa.recording._table import RATE_RATIO, Loss
+from sklearn_vbjfa.recording._table import Loss
 
 # Minimum number of samples between gaps, for differentiation and held-out data.
 _MIN_SAMPLES = 16
 # Lower quartile of the absolute value of a standard normal variable.
 _QUARTILE = 0.3186
+# Minimum ratio of the sample rates of sources that are merged.
+RATE_RATIO = 0.2
 # Largest share of rows that repeat a time stamp, or that sources have in common.
 _MAX_REPEATED = 0.1
 

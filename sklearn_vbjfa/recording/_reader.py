@@ -387,7 +387,7 @@ def _read_settled(path, options):
     """Read the table of a file; refuse one that changes while it is read."""
     before = _file_versions(path)
     try:
-        return read_table(path, options)
+        return read_table(path, options.topic)
     except ValueError:
         # Wait until a file that is still being written has changed.
         time.sleep(_WRITE_INTERVAL)

@@ -22,8 +22,6 @@ MAX_BYTES = 1 << 30
 _MAX_ENTRIES, _MAX_LENGTH = 20, 60
 # Names of text columns that list joint names, numbers removed.
 NAMES_TITLE = re.compile(r"(.*[^a-z])?names?[^a-z]*", re.IGNORECASE)
-# Minimum ratio of the sample rates of sources that are merged.
-RATE_RATIO = 0.2
 
 
 class Loss(str):

@@ -39,7 +39,7 @@ _CHUNK = 1 << 20
 _MARKERS = ("metadata.yaml", INFO)
 
 
-def read_table(path, options) -> Table:
+def read_table(path, topic) -> Table:
     """Read the table of a file; raise an error if it is empty."""
     # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input.
     suffix = _suffix(path)
@@ -52,7 +52,7 @@ def read_table(path, options) -> Table:
             f"{path}: no such file; expected a recording: {_FORMATS}."
         )
     elif files:
-        table = read_bag(files, path, options.topic, options.joints)
+        table = read_bag(files, path, topic)
     elif (path / INFO).is_file():
         table = _arrays.read_parquet(path)
     elif path.is_dir():

@@ -11,8 +11,6 @@ import numpy as np
 
 from sklearn_vbjfa.recording._table import (
     NAMES_TITLE,
-    RATE_RATIO,
-    Loss,
     NotATable,
     RecordingRefused,
     Table,
@@ -320,8 +318,8 @@ def bag_files(folder):
     return sorted(x for x in folder.iterdir() if x.suffix.lower() in BAGS)
 
 
-def read_bag(files, shown, topic, joints) -> Table:
-    """Read joint positions and efforts from a bag."""
+def read_bag(files, shown, topic) -> Table:
+    """Read joint positions and efforts from a bag; nan in messages without them."""
     typesys = imported(shown, "rosbags.typesys")
     AnyReader = imported(shown, "rosbags.highlevel").AnyReader
     remedy = "if it was cut, rosbag reindex, ros2 bag reindex or mcap recover may help."
@@ -331,8 +329,27 @@ def read_bag(files, shown, topic, joints) -> Table:
         AnyReader(files, default_typestore=store) as bag,
     ):
         connections = _connections(bag, shown, topic)
-        names, values, times = _messages(bag, connections)
-        return _joint_states(shown, connections[0].topic, names, values, times, joints)
+        joints, (q, v, tau), times = _messages(bag, connections)
+    topic, valid = connections[0].topic, np.isfinite(q) & np.isfinite(tau)
+    if not valid.any():
+        raise RecordingRefused(
+            f"{shown}: none of the {len(q)} messages of {topic} has positions and "
+            "efforts of its joints; record a topic whose effort is filled in."
+        )
+    mapping = "position [rad or m] as q and effort [N m or N] as tau"
+    notes = [f"read from {topic}: {mapping} of {', '.join(joints)}."]
+    t, received = times
+    if np.ptp(t[valid.any(axis=1)]) == 0:
+        t = received
+        notes.append("the stamps in the headers stand still: times are the recorder's.")
+    numbered = all(name.isdecimal() for name in joints)
+    columns = {"t": (t - t[0]) / 1e9}
+    for kind, x in (("q", q), ("tau", tau), ("v", v)):
+        if np.isfinite(x[valid]).all():
+            headers = [f"{kind}{'' if numbered else '_'}{name}" for name in joints]
+            columns |= dict(zip(headers, np.where(valid, x, np.nan).T))
+    table = table_of(shown, columns, place="message {}", notes=tuple(notes))
+    return replace(table, joints=() if numbered else tuple(joints))
 
 
 def _connections(bag, shown, topic):
@@ -375,59 +392,4 @@ def _messages(bag, connections):
         for channel, x in zip(values, channels):
             if len(x) == len(names):
                 channel[k, indices[names]] = x
-    return np.array(joints), values, np.array(times).T
-
-
-def _joint_states(shown, topic, names, values, times, wanted):
-    """Build a table of the set of joints with the most samples."""
-    q, v, tau = values
-    valid = np.isfinite(q) & np.isfinite(tau)
-    if not valid.any():
-        raise RecordingRefused(
-            f"{shown}: none of the {len(q)} messages of {topic} has positions and "
-            "efforts of its joints; record a topic whose effort is filled in."
-        )
-    requested = np.isin(names, wanted)
-    if valid[:, requested].any():
-        valid &= requested
-    # Choose the set of simultaneously recorded joints with the most samples, and those
-    # of other messages if requested or nearly as frequent.
-    sets = [(x, valid[:, x].all(axis=1)) for x in np.unique(valid, axis=0) if x.any()]
-    sets.sort(key=lambda x: x[0].sum() * x[1].sum(), reverse=True)
-    best, rows = sets[0]
-    least = rows.sum() * (RATE_RATIO if requested.any() else 0.5)
-    for others, complete in sets[1:]:
-        if not (best & others).any() and complete.sum() >= least:
-            best, rows = best | others, rows | complete
-    joints, others = names[best].tolist(), sorted(names[~best])
-    q, v, tau, t = q[:, best], v[:, best], tau[:, best], times[0, rows]
-    mapping = "position [rad or m] as q and effort [N m or N] as tau"
-    notes = [f"read from {topic}: {mapping} of {', '.join(joints)}."]
-    if others:
-        notes.append(
-            f"joint(s) {listed(others)} of {topic} left out: not those of the robot, "
-            "in other messages, or without numbers."
-        )
-    if not rows.all():
-        note = (
-            f"{(~rows).sum()} of {rows.size} messages of {topic} lack some of the "
-            "joints taken, or numbers of theirs, and are left out."
-        )
-        # Dropping messages without positions of these joints loses no data.
-        notes.append(Loss(note) if np.isfinite(q[~rows]).any() else note)
-    if np.ptp(t) == 0:
-        t = times[1, rows]
-        notes.append("the stamps in the headers stand still: times are the recorder's.")
-    numbered = all(name.isdecimal() for name in joints)
-    columns = {"t": (t - t[0]) / 1e9}
-    for kind, x in (("q", q), ("tau", tau), ("v", v)):
-        if np.isfinite(x[rows][np.isfinite(q[rows])]).all():
-            headers = [f"{kind}{'' if numbered else '_'}{name}" for name in joints]
-            columns |= dict(zip(headers, x[rows].T))
-    return Table(
-        path=shown,
-        frame=imported(shown, "pandas").DataFrame(columns, 1 + np.flatnonzero(rows)),
-        place="message {}",
-        joints=() if numbered else tuple(joints),
-        notes=tuple(notes),
-    )
+    return joints, values, np.array(times).T

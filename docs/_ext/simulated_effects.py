@@ -240,9 +240,9 @@ def scene():
     motion = make_motion(
         features,
         recording.states,
-        t,
         (slice(0, t.size),),
         theta=np.hstack([bodies, declared]).ravel(),
+        t=t,
         bandwidth=10.0,
         signals={"temperature": 30.0 + 8.0 * np.sin(0.4 * t)},
     )

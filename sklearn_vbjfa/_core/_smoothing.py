@@ -127,9 +127,9 @@ def acceleration_power(x, dt, n_fft):
     taper = np.hanning(d.shape[1] + 2)[1:-1]
     power = np.abs(np.fft.rfft(d * taper, n_fft)) ** 2
     weight = np.pad(taper**2, 1)
-    held = [_staircase(column, weight) for column in x.T]
+    staircases = [_staircase(column, weight) for column in x.T]
     energy = float(weight.sum())
-    return power.T, np.array([held, energy * _quiet_noise(x)]), energy
+    return power.T, np.array([staircases, energy * _quiet_noise(x)]), energy
 
 
 def _staircase(x, weight):
@@ -176,11 +176,11 @@ def acceleration_spectra(segments, dt):
     return spectrum(*map(sum, zip(*parts)), n_fft, dt)
 
 
-def spectrum(power, held, energy, n_fft, dt):
+def spectrum(power, errors, energy, n_fft, dt):
     """Results of `acceleration_spectra` from sums of `acceleration_power`."""
     frequency = np.fft.rfftfreq(n_fft, dt)
     noise_gain = (2 * np.sin(np.pi * frequency * dt)) ** 4 / dt**4
-    return frequency[1:], power[1:] / energy, noise_gain[1:], held / energy
+    return frequency[1:], power[1:] / energy, noise_gain[1:], errors / energy
 
 
 # Neighbouring ordinates averaged before the median, and the equivalent number of
@@ -208,11 +208,12 @@ def white_noise_variance(frequency, power, noise_gain):
 _STANDS_OUT = 8.0
 
 
-def choose_cutoff(frequency, power, noise_gain, held, dt):
+def choose_cutoff(frequency, power, noise_gain, errors, dt):
     """Cut-off [Hz] that minimises the estimated error of the second derivative."""
     # With gain G the expected squared error at a frequency is (1 - G)^2 times the
     # signal power plus G^2 times the noise power; the signal power is the measured one
-    # minus the noise (Mallows' C_p). Also returns the noise variance.
+    # minus the noise (Mallows' C_p). errors: those of `acceleration_spectra`. Also
+    # returns the noise variance.
     levels = [white_noise_variance(frequency, x, noise_gain) for x in power.T]
     variance = np.array(levels)
     noise = variance * noise_gain[:, None]
@@ -224,7 +225,7 @@ def choose_cutoff(frequency, power, noise_gain, held, dt):
     share = signal / noise_gain[:, None]
     share[-1] /= 2  # of the Nyquist frequency, the only one without a negative one
     beyond = np.cumsum(share[::-1], axis=0)[::-1]
-    signal[beyond < (1.01 * held[0] - variance) * frequency.size] = 0.0
+    signal[beyond < (1.01 * errors[0] - variance) * frequency.size] = 0.0
     candidates = np.geomspace(max(frequency[0], 1e-3 / dt), 1.0 / (3 * dt), 120)
     risks = np.empty((candidates.size, power.shape[1]))
     for i, cutoff in enumerate(candidates):
@@ -445,7 +446,7 @@ def interpolate(values, parts, t, delay=0.0, order=0):
     return out
 
 
-def held(values, parts, t, delay=0.0):
+def zero_order_hold(values, parts, t, delay=0.0):
     """Channels (n, ...) with zero-order hold that act with a delay [s]."""
     # Sampled steps would alias frequencies above the band of the rows into it. Within
     # the band, a hold is the average of a spline over the last period.

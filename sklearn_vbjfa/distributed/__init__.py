@@ -25,7 +25,7 @@ from sklearn_vbjfa.equations._plan import (
     check_widths,
     make_plan,
     n_fastest,
-    smooth,
+    smooth_recording,
 )
 from sklearn_vbjfa.equations._states import choose_states
 from sklearn_vbjfa.fit._estimate import from_moments
@@ -223,7 +223,7 @@ def _spectra(recording, path, dt, n_fft):
 
 
 def _motion(recording, path, estimator, keep):
-    return smooth(recording, estimator, False, keep, None)[1]
+    return smooth_recording(recording, estimator, False, keep, None)[1]
 
 
 def _noise(recording, path, robot):
@@ -231,7 +231,7 @@ def _noise(recording, path, robot):
 
 
 def _moments(recording, path, plan, features, halves, blocks, offsets):
-    states, _ = smooth(recording, plan.state_estimator, halves, 1, None)
+    states, _ = smooth_recording(recording, plan.state_estimator, halves, 1, None)
     segments = build_segments(recording, states, plan, features, first=offsets[path])
     return accumulate(segments, plan.lowpass, blocks=blocks)
 

@@ -73,26 +73,13 @@ class Equations:
 
 
 def make_motion(
-    features,
-    states,
-    t,
-    parts,
-    theta=None,
-    bandwidth=np.inf,
-    rest=None,
-    effects=(),
-    since=None,
-    signals=None,
-    ranges=(),
-    command=None,
-    before=None,
+    features, states, parts, *, theta=None, effects=(), ranges=(), rest=None, **fields
 ):
     """Build the `Motion` that effects are computed from."""
     # parts: slices of the segments; theta: parameters (p,) of the features, and then
-    # `pick_load_free` of the effects, beginning with followers; bandwidth: cut-off
-    # of the low-pass [Hz]; rest: velocity signs at rest; since: first time of the fit
-    # [s]; ranges: limits of the motion, see `Plan`; command, before: see `Recording`.
-    nv = features.n_joints_
+    # `pick_load_free` of the effects, beginning with followers; ranges: limits of the
+    # motion, see `Plan`; rest: velocity signs at rest; fields: others of `Motion`.
+    nv, (q, v, a) = features.n_joints_, np.split(states, 3, axis=1)
     load = torque = rigid = derivatives = None
     if theta is not None:
         theta, coefs = np.split(theta, [features.n_parameters_])
@@ -100,7 +87,6 @@ def make_motion(
         parameters = theta.reshape(nv, -1)
         inertial = np.ascontiguousarray(parameters[:, :10])
         bodies = np.vstack([inertial, following.reshape(-1, 10)])
-        q, v, a = np.split(states, 3, axis=1)
         rigid = functools.partial(body_torques, features, effects, bodies)
         load = rigid(q, v, a)
         friction = declared_columns(features.friction_, v, a, rest)
@@ -110,10 +96,9 @@ def make_motion(
         derivatives = TorqueDerivatives(features.model_, *arguments)
 
     motion = Motion(
-        q=states[:, :nv],
-        v=states[:, nv : 2 * nv],
-        a=states[:, 2 * nv :],
-        t=t,
+        q=q,
+        v=v,
+        a=a,
         load=load,
         torque=torque,
         parts=tuple(parts),
@@ -124,12 +109,8 @@ def make_motion(
             for j in end_joints(features.model_)
         },
         derivatives=derivatives,
-        bandwidth=float(bandwidth),
         rest=rest,
-        since=since,
-        signals={} if signals is None else signals,
-        command=command,
-        before=before,
+        **fields,
     )
     if torque is not None and coefs.size:
         # `torque` is the array of the motion, changed in place.
@@ -285,7 +266,7 @@ class RegressorRows:
 
 
 def regressor_rows(
-    recording, states, plan, features, *, theta=None, rest=None, cache=None
+    recording, states, plan, features, theta=None, rest=None, *, cache=None
 ):
     """Return the `RegressorRows` of each segment, with the columns of all effects."""
     # states: of each segment, (n, 3 nv) or `SplineStates`; theta: for load and torque;
@@ -302,17 +283,17 @@ def regressor_rows(
     motion = make_motion(
         features,
         whole,
-        plan.clock(recording),
         recording.segments,
-        theta,
-        plan.cutoff,
-        rest,
-        plan.effects,
-        None if plan.time is None else plan.time[0],
-        recording.signals,
-        plan.ranges,
-        recording.command if plan.lag is None else recording.tau,
-        earlier_reversals(recording.before),
+        theta=theta,
+        effects=plan.effects,
+        ranges=plan.ranges,
+        rest=rest,
+        t=plan.clock(recording),
+        bandwidth=plan.cutoff,
+        since=None if plan.time is None else plan.time[0],
+        signals=recording.signals,
+        command=recording.command if plan.lag is None else recording.tau,
+        before=earlier_reversals(recording.before),
     )
     columns = _effect_columns(plan, motion, {} if cache is None else cache)
     # Keep the splines, which need a third of the memory of `whole`.
@@ -358,9 +339,9 @@ class Segment:
 
     first: int  # its first row
     states: object  # (n, 3 * nv): for the standstill mask
-    # regressor; None takes the mean of the two halves: a quarter of their squared
-    # difference estimates its noise, and subtracting it leaves their cross product
-    rows: RegressorRows | None
+    # None takes the mean of the two halves: a quarter of their squared difference
+    # estimates its noise, and subtracting it leaves their cross product
+    regressor: RegressorRows | None
     halves: tuple | None  # regressors from the even and from the odd samples
     # (n, nv): measured, and their weights
     torque: np.ndarray
@@ -377,7 +358,7 @@ class Segment:
     def n_rows(self):
         return self.torque.shape[0]
 
-    def counts(self, rows, v):
+    def moving_weight(self, rows, v):
         """Return the weights of a slice of rows, zero where the joint is at rest."""
         # v (n, nv): velocities in these rows.
         start, stop, _ = rows.indices(self.n_rows)
@@ -390,7 +371,7 @@ class Segment:
 
     def filtered_weight(self, lowpass, rows, v):
         """Return the weights of filtered rows, zero if too few samples count."""
-        weight = lowpass.samples(self.counts(rows, v))
+        weight = lowpass.samples(self.moving_weight(rows, v))
         if self.stops is None or not self.stops.any():
             return weight
         # A filter window that includes a stop contains unknown friction.
@@ -400,8 +381,8 @@ class Segment:
     def pieces(self, lowpass):
         # Neighbouring pieces share input rows over the filter length, so that none is
         # shorter than twice the filter.
-        n_regressors = (self.rows is not None) + 2 * (self.halves is not None)
-        per_output = 8 * n_regressors * self._regressors[0].used.size
+        regressors = self._regressors
+        per_output = 8 * len(regressors) * regressors[0].used.size
         # Without a filter no rows are kept.
         limit = CHUNK_BYTES // per_output if lowpass.half else _SPAN_ROWS
         count = max(limit, 4 * lowpass.half // lowpass.step, 1)
@@ -411,7 +392,7 @@ class Segment:
     @property
     def _regressors(self):
         """Regressors to compute: of all samples, of the halves, or of both."""
-        return (() if self.rows is None else (self.rows,)) + (self.halves or ())
+        return tuple(filter(None, (self.regressor, *(self.halves or ()))))
 
     def equations(self, lowpass, entries):
         """Fill in the regressor entries; return torques, weights and rows."""
@@ -471,7 +452,7 @@ class Segment:
                 yield first, rows[0], None
                 continue
             even, odd = rows[-2:]
-            mean = 0.5 * (even + odd) if self.rows is None else rows[0]
+            mean = 0.5 * (even + odd) if self.regressor is None else rows[0]
             yield first, mean, even - odd
 
     def loads(self, lowpass, torques):
@@ -536,18 +517,23 @@ def build_segments(
     # theta: parameters for the load in effects' columns; rest: velocity signs at rest,
     # for comparisons only; first: number of the first segment; cache: see
     # `regressor_rows`. Returns a list of `Segment`.
-    rest, cache = plan.turning if rest is None else rest, {} if cache is None else cache
+    rest, cache = (
+        plan.fit_rest if rest is None else rest,
+        {} if cache is None else cache,
+    )
 
-    def rows_of(X, number=0):
+    def regressors_of(X, number=0):
         keywords = {"theta": theta, "rest": rest, "cache": cache.setdefault(number, {})}
         return regressor_rows(recording, X, plan, features, **keywords)
 
-    prepared, parts = plan.applied(recording), recording.segments
+    prepared, parts = plan.with_delays(recording), recording.segments
     average = states.halves is not None and plan.corrects_noise
-    rows = len(parts) * [None] if average else rows_of(states.full)
-    halves = len(parts) * [None]
+    regressors = halves = len(parts) * [None]
+    if not average:
+        regressors = regressors_of(states.full)
     if states.halves is not None:
-        halves = list(zip(*[rows_of(x, 1 + k) for k, x in enumerate(states.halves)]))
+        both = (regressors_of(x, 1 + k) for k, x in enumerate(states.halves))
+        halves = list(zip(*both))
     weight = prepared.weight
     if weight is None:
         weight = np.broadcast_to(1.0, prepared.tau.shape)
@@ -555,11 +541,11 @@ def build_segments(
         Segment(
             first=part.start,
             states=states.full[i],
-            rows=rows[i],
+            regressor=regressors[i],
             halves=halves[i],
             torque=prepared.tau[part],
             weight=weight[part],
-            standstill=plan.masked,
+            standstill=plan.mask_speeds,
             stops=plan.stops,
             edge=edge_rows(part.stop - part.start, plan.state_estimator),
             full_rate=recording.n_samples <= _MANY_ROWS,
@@ -712,7 +698,8 @@ def compare(segments, others, lowpass, theta):
         weight = segment.filtered_weight(lowpass, all_rows, v)
         rows = segment.first + lowpass.centres(segment.n_rows)
         if theta is not None:
-            predictions = map(lowpass, segment.rows.predict(theta, other.rows))
+            predictions = segment.regressor.predict(theta, other.regressor)
+            predictions = map(lowpass, predictions)
             predicted = np.where(weight > 0, *predictions)
         parts.append((rows, torque, predicted, weight))
     index, torque, predicted, weight = (np.concatenate(x) for x in zip(*parts))

@@ -122,7 +122,7 @@ class Plan:
         """Lag [s] of all recorded torques; None if it is not declared."""
         return next((e.lag for e in self.effects if isinstance(e, TorqueLag)), None)
 
-    def applied(self, recording):
+    def with_delays(self, recording):
         delayed = replace(recording, tau=recording.torques(self.delay))
         return with_torques_shifted(delayed, self.lag)
 
@@ -139,13 +139,13 @@ class Plan:
         return [replace(self, effects=plain)] + (_LOAD_PASSES - 1) * [self]
 
     @property
-    def masked(self):
+    def mask_speeds(self):
         """Speeds (nv,) at or below which equations are masked, none if negative."""
         # Friction with memory defines the torque of a joint at rest.
-        return np.where(self._unmasked, -1.0, self.standstill)
+        return np.where(self._used_at_rest, -1.0, self.standstill)
 
     @property
-    def _unmasked(self):
+    def _used_at_rest(self):
         """Joints (nv,), bool, whose equations at rest are used."""
         out = np.zeros(self.standstill.size, dtype=bool)
         out[[e.joint for e in self.effects if isinstance(e, Bank)]] = True
@@ -153,12 +153,12 @@ class Plan:
         return out
 
     @property
-    def turning(self):
+    def fit_rest(self):
         """`Rest` of the velocities of a fit, None if their signs need no averaging."""
         # A fit masks joints that may be at rest, except those with memory.
         reversals, zeros = self._reversals(self.state_estimator), 0.0 * self.standstill
-        speed = np.where(self._unmasked, np.maximum(self.standstill, 0.0), 0.0)
-        play = self._play(self.state_estimator) * self._unmasked
+        speed = np.where(self._used_at_rest, np.maximum(self.standstill, 0.0), 0.0)
+        play = self._play(self.state_estimator) * self._used_at_rest
         if not (reversals or speed.any() or play.any()):
             return None
         facts = {"time": self._rest_times, "noise": zeros, "play": play}
@@ -171,7 +171,7 @@ class Plan:
         rounding = estimator.rounding()
         return {"corner": self.corners, "rounding": rounding, "span": self.dt}
 
-    def rest(self, estimator=None):
+    def prediction_rest(self, estimator=None):
         """Return the `Rest`, for mean velocity signs, of an estimator's velocities."""
         # estimator: None for known velocities: a joint is at rest where the velocities
         # of the fit do not exceed their noise. Negative speeds mask nothing.
@@ -350,12 +350,12 @@ def _fastest_period(facts, accelerations):
     return np.divide(2 * np.pi * speed, acceleration, out=out, where=acceleration > 0)
 
 
-def observe(recording, estimator, halves, n_jobs):
+def estimate_states(recording, estimator, halves, n_jobs):
     """Estimate the states of a recording, and the statistics of its motion."""
     # estimator: None if states are given; halves: also from even and odd samples.
     if estimator is not None:
         keep = n_fastest(recording.n_samples)
-        return smooth(recording, estimator, halves, keep, n_jobs)
+        return smooth_recording(recording, estimator, halves, keep, n_jobs)
     states = RecordingStates.of_rows(recording.segments, recording.states)
     X = states.full[0] if len(states.full) == 1 else np.concatenate(states.full)
     q, v, a = np.split(X, 3, axis=1)
@@ -365,13 +365,13 @@ def observe(recording, estimator, halves, n_jobs):
     return states, replace(facts, period=_fastest_period(facts, a))
 
 
-def smooth(recording, estimator, halves, keep, n_jobs):
+def smooth_recording(recording, estimator, halves, keep, n_jobs):
     """Smooth the positions of a recording, segment by segment, `n_jobs` at a time."""
     # halves: also from the even and odd samples; keep: `n_fastest` of all samples.
     # Returns `RecordingStates` and `MotionFacts`.
     parts = recording.segments
     tasks = ((recording.q[part], part.start, estimator, halves, keep) for part in parts)
-    results = in_parallel(smooth_with_facts, tasks, n_jobs)
+    results = in_parallel(_smooth_segment, tasks, n_jobs)
     full, by_half, facts = [], ([], []), None
     for states, pair, new in counted(results, "states", len(parts)):
         full.append(states)
@@ -382,7 +382,7 @@ def smooth(recording, estimator, halves, keep, n_jobs):
     return RecordingStates(full=full, halves=by_half if halves else None), facts
 
 
-def smooth_with_facts(x, start, estimator, halves, keep):
+def _smooth_segment(x, start, estimator, halves, keep):
     states = estimator.smooth(x, start)
     pair = estimator.smooth_halves(x, start) if halves else None
     positions, speeds = (states.derivative(slice(None), order) for order in range(2))

@@ -131,32 +131,32 @@ class OutsideRange:
     fitted: tuple  # range of the fit
     reached: float  # farthest value, without the farthest half per cent of the rows
     share: float  # share of rows outside by more than the margin, see `EffectRange`
-    # those of `names` whose torque is held beyond the margin; others are extrapolated
-    held: tuple = ()
+    # those of `names` whose torque is constant beyond the margin; others extrapolate
+    clipped: tuple = ()
 
 
-def outside(ranges, signals, held):
+def outside(ranges, signals, clips):
     """Find signals outside the ranges of effects, a tuple of `OutsideRange`."""
-    # signals: (n,) in the rows to check, by quantity and joint; held: whether
+    # signals: (n,) in the rows to check, by quantity and joint; clips: whether
     # predictions clip each effect to its range.
     violations = {}
-    for effect, holds in zip(ranges, held, strict=True):
+    for effect, clip in zip(ranges, clips, strict=True):
         for quantity in effect.depends:
             key = effect.joint, quantity
-            new = _violation(effect, quantity, signals[quantity, effect.joint], holds)
+            new = _violation(effect, quantity, signals[quantity, effect.joint], clip)
             if new is not None:
                 violations.setdefault(key, []).append(new)
     return tuple(
         replace(
             max(same_key, key=lambda x: x.share),
             names=tuple(dict.fromkeys(name for x in same_key for name in x.names)),
-            held=tuple(dict.fromkeys(name for x in same_key for name in x.held)),
+            clipped=tuple(dict.fromkeys(name for x in same_key for name in x.clipped)),
         )
         for _, same_key in sorted(violations.items())
     )
 
 
-def _violation(effect, quantity, values, holds):
+def _violation(effect, quantity, values, clip):
     """Return the `OutsideRange` of one effect and signal (n,), None if it is inside."""
     far = values[effect.excess(quantity, values) > effect.margin(quantity)]
     outliers = int(_OUTLIERS * values.size)
@@ -174,7 +174,7 @@ def _violation(effect, quantity, values, holds):
         fitted=getattr(effect, quantity),
         reached=float(farthest[-1 - outliers]),
         share=far.size / values.size,
-        held=(effect.name,) if holds and beyond else (),
+        clipped=(effect.name,) if clip and beyond else (),
     )
 
 

@@ -152,16 +152,16 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return self
 
     def _analyse(self, moving, spectra, dt):
-        frequency, power, noise_gain, held = spectra
+        frequency, power, noise_gain, errors = spectra
         nv = moving.size
         self.noise_variance_, self.rest_variance_, self.bandwidth_ = np.zeros((3, nv))
         cutoff = np.full(nv, np.inf)
         if not moving.any():
             return cutoff
         cutoff[moving], self.noise_variance_[moving] = _smoothing.choose_cutoff(
-            frequency, power[:, moving], noise_gain, held[:, moving], dt
+            frequency, power[:, moving], noise_gain, errors[:, moving], dt
         )
-        self.rest_variance_ = np.minimum(self.noise_variance_, held[1])
+        self.rest_variance_ = np.minimum(self.noise_variance_, errors[1])
         for j in np.flatnonzero(moving):
             self.bandwidth_[j] = _smoothing.velocity_bandwidth(
                 frequency, power[:, j], noise_gain, self.noise_variance_[j], cutoff[j]

@@ -23,8 +23,8 @@ from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 from sklearn_vbjfa.equations._plan import (
     check_count,
     effect_indices,
+    estimate_states,
     needs_load,
-    observe,
 )
 from sklearn_vbjfa.equations._ranges import effect_ranges, sum_ranges
 from sklearn_vbjfa.equations._states import RecordingStates
@@ -662,7 +662,7 @@ def suggests_lag(recipe, fit, data):
             rows.append(part)
     rows = rows[:: max(len(rows) // _BLOCKS, 1)] or list(recording.segments)[:_BLOCKS]
     excerpt = take_rows(recording, rows, range(len(rows)))
-    states, _ = observe(excerpt, plan.state_estimator, False, data.n_jobs)
+    states, _ = estimate_states(excerpt, plan.state_estimator, False, data.n_jobs)
     robot = replace(robot, plan=replace(plan, effects=effects))
     data = replace(data, recording=excerpt, states=states, blocks=None)
     moments = data.moments(data.segments(robot, tangents=True), plan)
@@ -745,7 +745,9 @@ def without_command_ripple(robot, data):
         tau=recording.tau + stiffness * position + damping * speed,
     )
     halves = data.states.halves is not None
-    states, _ = observe(recording, robot.plan.state_estimator, halves, data.n_jobs)
+    states, _ = estimate_states(
+        recording, robot.plan.state_estimator, halves, data.n_jobs
+    )
     return replace(data, recording=recording, states=states)
 
 

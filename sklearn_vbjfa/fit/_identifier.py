@@ -20,8 +20,8 @@ from sklearn_vbjfa.equations._plan import (
     check_input_noise,
     check_length,
     check_speed,
+    estimate_states,
     make_plan,
-    observe,
 )
 from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.equations._torque_noise import filtered_white_noise
@@ -477,7 +477,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             settings = check_dt(self.dt), self.fit_options.state_cutoff
             estimator = fit_states(*settings, recording.q, recording.groups)
         halves = self.input_noise is not None
-        states, facts = observe(recording, estimator, halves, self.n_jobs)
+        states, facts = estimate_states(recording, estimator, halves, self.n_jobs)
         if estimator is not None:
             check_speed(self.dt, facts.fast(), self.features_.model_)
         ranges = np.stack([facts.lowest, facts.highest])

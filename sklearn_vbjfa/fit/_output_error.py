@@ -20,7 +20,6 @@ from scipy import linalg
 
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import InModel, OfChannel
-from sklearn_vbjfa.equations._equations import regressor_rows
 from sklearn_vbjfa.fit._estimate import project
 from sklearn_vbjfa.recording import take_rows
 from sklearn_vbjfa.robot._posterior import effect_mask
@@ -354,16 +353,8 @@ def slopes(predictor, recording, states):
     # velocity of the joint crosses zero (n, nv), and the regressor Phi (n, nv, p).
     features, fixed = predictor.features_, fixed_parameters(predictor)
 
-    def rows_of(states):
-        return regressor_rows(
-            recording,
-            [states[part] for part in recording.segments],
-            predictor.prediction_plan,
-            features,
-            theta=predictor.load_parameters,
-        )
-
-    Phi = np.concatenate([rows(slice(None)) for rows in rows_of(states)])
+    regressors = predictor.regressors(recording, states)
+    Phi = np.concatenate([rows(slice(None)) for rows in regressors])
     Phi /= features.gains_[:, None]
     Phi[:, :, fixed] = 0.0
     fixed |= effect_mask(predictor, lambda effect: isinstance(effect, OfChannel))
@@ -372,8 +363,8 @@ def slopes(predictor, recording, states):
     def torque(column, values):
         perturbed = states.copy()
         perturbed[:, column] = values
-        torques = [rows.predict(theta)[0] for rows in rows_of(perturbed)]
-        return np.concatenate(torques) / features.gains_
+        rows = predictor.regressors(recording, perturbed)
+        return np.concatenate([x.predict(theta)[0] for x in rows]) / features.gains_
 
     n, nv = states.shape[0], features.n_joints_
     sizes = np.r_[np.ptp(states[:, :nv], axis=0), np.abs(states[:, nv:]).max(axis=0)]

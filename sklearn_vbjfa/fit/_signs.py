@@ -48,7 +48,7 @@ def with_signs(recipe, robot, data, previous):
 def signed(robot, recording):
     """Replace torque magnitudes by their expectation given a fitted robot."""
     inputs = robot.prepare_recording(replace(recording, weight=None))
-    rest = robot.plan.rest(robot.plan.state_estimator)
+    rest = robot.plan.prediction_rest(robot.plan.state_estimator)
     predicted = robot.readings(replace(inputs, rest=rest))
     tau = expected(recording.tau, predicted)
     return replace(recording, tau=tau, command=tau)

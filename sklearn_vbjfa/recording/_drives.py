@@ -8,7 +8,7 @@ import numpy as np
 from sklearn.base import BaseEstimator
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa._core._smoothing import held, interpolate
+from sklearn_vbjfa._core._smoothing import interpolate, zero_order_hold
 from sklearn_vbjfa.recording._recording import check_dt
 
 # Names of command channels of joints in `Recording.signals`.
@@ -220,7 +220,7 @@ class PDDrive(Drive):
             )
         if self.known_delay is not None:
             check_delay(self.known_delay, recording)
-        command = held(command, parts, clock, self.known_delay or 0.0)
+        command = zero_order_hold(command, parts, clock, self.known_delay or 0.0)
         q, v = recording.q, velocities(recording)
         if self.period is not None:
             # A zero-order hold delays the feedback by half a control period on average.

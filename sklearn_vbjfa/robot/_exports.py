@@ -300,7 +300,8 @@ def refitted(robot, totals):
     v, a = states[:, nv : 2 * nv], states[:, 2 * nv :]
     plain = {"coulomb": np.sign(v), "viscous": v, "rotor_inertia": a}
     lacking = np.zeros((_ROWS, nv))
-    (rows,) = free.rows_of(free.prepare(states))
+    inputs = free.prepare(states)
+    (rows,) = free.regressors(inputs.recording, inputs.states, inputs.rest)
     for (effect, columns), coef in zip(rows.columns, left):
         if coef.any() and not isinstance(effect, (OnAllJoints, ToAnother)):
             j, name = effect.joint, effect.files.parameter

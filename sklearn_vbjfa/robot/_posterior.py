@@ -353,15 +353,15 @@ def outside_text(ranges, names, prismatic):
             f"{names[out.joint]}: {_PLURALS[out.quantity]} to {out.reached:.3g} {unit},"
             f" fitted on {low:.3g} to {high:.3g} {unit} {rows}"
         )
-    return ". ".join(filter(None, ["; ".join(texts), _held_text(ranges)]))
+    return ". ".join(filter(None, ["; ".join(texts), _clipped_text(ranges)]))
 
 
-def _held_text(ranges):
-    """Name the effects that are held and those that are extrapolated."""
+def _clipped_text(ranges):
+    """Name the effects that are held constant and those that are extrapolated."""
     ranges = [x for x in ranges if x.quantity != "direction"]
-    held = [name for x in ranges for name in x.held]
-    others = [name for x in ranges for name in x.names if name not in x.held]
-    texts = {"Held constant beyond the margin": held, "Extrapolated": others}
+    clipped = [name for x in ranges for name in x.clipped]
+    others = [name for x in ranges for name in x.names if name not in x.clipped]
+    texts = {"Held constant beyond the margin": clipped, "Extrapolated": others}
     return ". ".join(
         f"{what}: {', '.join(dict.fromkeys(names))}"
         for what, names in texts.items()

@@ -82,7 +82,7 @@ class Inputs:
     rest: Rest  # velocity signs at rest
     smoother: object = None  # state estimator; None for given states
 
-    def counts(self, standstill):
+    def valid_rows(self, standstill):
         """Return rows (n, nv), bool, in which each signal is valid, by its name."""
         # Rows where the smoother is one-sided and rows without weight are not; a joint
         # at rest has no speed, as in the fit.
@@ -316,7 +316,10 @@ class IdentifiedRobot:
         check_length(recording.segments, lowpass, self.plan.cutoff, names)
         recording = self._on_clock(recording)
         smoother = self.smoother(recording.inputs, recording.groups)
-        states, rest = RecordingStates.of(recording, smoother), self.plan.rest(smoother)
+        states, rest = (
+            RecordingStates.of(recording, smoother),
+            self.plan.prediction_rest(smoother),
+        )
 
         # Weighted rows have the columns of the fit; rows at rest are predicted.
         segments = (
@@ -705,8 +708,8 @@ class IdentifiedRobot:
         return self.plan.effects
 
     @property
-    def held(self):
-        """Ranges that effects are held constant outside of, None for `bounded` ones."""
+    def limits(self):
+        """Ranges to which motion is clipped, by effect; None for `bounded` ones."""
         ranges = self.effect_ranges_[len(self.effect_ranges_) - len(self.effects_) :]
         return tuple(
             None if effect.bounded else x for effect, x in zip(self.effects_, ranges)
@@ -715,7 +718,7 @@ class IdentifiedRobot:
     @property
     def prediction_plan(self):
         """The plan for predictions, with the ranges of the effects."""
-        return replace(self.plan, ranges=self.held)
+        return replace(self.plan, ranges=self.limits)
 
     # -- groups of parameters --------------------------------------------------------
 
@@ -792,7 +795,7 @@ class IdentifiedRobot:
         return Inputs(
             recording=self._on_clock(recording),
             states=states,
-            rest=self.plan.rest(smoother),
+            rest=self.plan.prediction_rest(smoother),
             smoother=smoother,
         )
 
@@ -805,7 +808,8 @@ class IdentifiedRobot:
 
     def torques(self, inputs):
         """Torques (n, nv) that are predicted for `Inputs`."""
-        return np.concatenate([x.predict(self.theta_)[0] for x in self.rows_of(inputs)])
+        rows = self.regressors(inputs.recording, inputs.states, inputs.rest)
+        return np.concatenate([x.predict(self.theta_)[0] for x in rows])
 
     def readings(self, inputs):
         """Torques (n, nv) that the channels record for `Inputs`, late by their lag."""
@@ -813,17 +817,11 @@ class IdentifiedRobot:
         recording = replace(inputs.recording, tau=tau, weight=None)
         return with_torques_shifted(recording, lag).tau
 
-    def rows_of(self, inputs):
-        recording = inputs.recording
-        states = [inputs.states[rows] for rows in recording.segments]
-        return regressor_rows(
-            recording,
-            states,
-            self.prediction_plan,
-            self.features_,
-            theta=self.load_parameters,
-            rest=inputs.rest,
-        )
+    def regressors(self, recording, states, rest=None):
+        """Return the `RegressorRows` of each segment, from states (n, 3 nv)."""
+        states = [states[rows] for rows in recording.segments]
+        arguments = self.prediction_plan, self.features_, self.load_parameters, rest
+        return regressor_rows(recording, states, *arguments)
 
     def warn_outside(self, inputs, stacklevel):
         joints = self.joint_names_, is_prismatic(self.features_.model_)
@@ -838,11 +836,11 @@ class IdentifiedRobot:
         signals = {"position": q, "speed": np.abs(v), "direction": np.sign(v)}
         if any(name == "load" for name, _ in wanted):
             signals["load"] = self.rigid(q, v, a)
-        valid = inputs.counts(self.plan.standstill)
+        valid = inputs.valid_rows(self.plan.standstill)
         values = {(k, j): signals[k][valid[k][:, j], j] for k, j in wanted}
-        held = [x is not None for x in self.held]
-        held = [False] * (len(self.effect_ranges_) - len(held)) + held
-        return outside(self.effect_ranges_, values, held)
+        clips = [x is not None for x in self.limits]
+        clips = [False] * (len(self.effect_ranges_) - len(clips)) + clips
+        return outside(self.effect_ranges_, values, clips)
 
     # -- for other fits, and for simulation -------------------------------------------
 
@@ -856,10 +854,10 @@ class IdentifiedRobot:
             friction=bodies[:, 10:].copy(),
             effects=self.effects_,
             coefficients=tuple(coef.copy() for coef in self.split(self.theta_)),
-            ranges=self.held,
+            ranges=self.limits,
             gains=self.features_.gains_.copy(),
             load=self._load(),
-            rest=self.plan.rest(),
+            rest=self.plan.prediction_rest(),
             since=None if self.plan.time is None else self.plan.time[0],
             dt=self.plan.dt,
         )
@@ -942,14 +940,14 @@ class IdentifiedRobot:
         band = self.plan.dt, self.plan.cutoff
         if not stopband_exists(*band):
             return []
-        facts, torques = [], self.plan.applied(recording).tau
+        facts, torques = [], self.plan.with_delays(recording).tau
         clock = self.plan.clock(recording)
         for part in recording.segments:
             rows = slice(part.start, min(part.stop, part.start + ROWS))
             t = None if clock is None else clock[rows]
             signals = {name: x[rows] for name, x in recording.signals.items()}
             inputs = self.prepare(recording.inputs[rows], t=t, signals=signals)
-            rest = self.plan.rest(self.plan.state_estimator)
+            rest = self.plan.prediction_rest(self.plan.state_estimator)
             inputs, y = replace(inputs, rest=rest), torques[rows]
             residual = y - self.torques(inputs)
             facts.append(noise_facts(residual, y, inputs.states, *band, n_jobs))

@@ -270,7 +270,7 @@ def _measured(robot, X, groups, t, signals, window):
 
 def _rows(inputs, standstill, length, dt):
     """Rows of the windows, (n_windows, length + 1)."""
-    inner, starts = inputs.counts(standstill)["position"], []
+    inner, starts = inputs.valid_rows(standstill)["position"], []
     for part in inputs.recording.segments:
         first = part.start + int(np.argmax(inner[part].any(axis=1)))
         starts += range(first, part.stop - length, length)

@@ -55,7 +55,7 @@ class TorqueModel:
     dt: float | None = None  # sample period of the fit [s]
 
     @property
-    def held(self):
+    def limits(self):
         return self.ranges or (None,) * len(self.effects)
 
     @property
@@ -115,7 +115,7 @@ def causal(model):
     if load is not None:
         load = replace(load, coefficients=kept(load.coefficients))
     changes = {"effects": kept(model.effects), "coefficients": kept(model.coefficients)}
-    reduced = replace(model, **changes, ranges=kept(model.held), load=load)
+    reduced = replace(model, **changes, ranges=kept(model.limits), load=load)
     left = [pair for pair in zip(model.effects, reasons) if pair[1]]
     return reduced, tuple(LeftOut.of(x, model.joint_names, why) for x, why in left)
 
@@ -137,7 +137,7 @@ class Stepper:
         pairs = [
             (effect, np.asarray(coefs, dtype=float), np.asarray(load_coefs), limits)
             for effect, coefs, load_coefs, limits in zip(
-                model.effects, model.coefficients, loads, model.held, strict=True
+                model.effects, model.coefficients, loads, model.limits, strict=True
             )
             if not isinstance(effect, InModel)
         ]

@@ -87,13 +87,13 @@ class TermTable:
             ("rotor_inertia", self.armature),
         ):
             add += declared.get(name, 0.0)
-        rows = zip(robot.effects, robot.coefficients, robot.held, strict=True)
-        for effect, coef, held in rows:
+        rows = zip(robot.effects, robot.coefficients, robot.limits, strict=True)
+        for effect, coef, limits in rows:
             reason = effect.files.simulation
             # Effects in the model act through it.
             if not reason and not isinstance(effect, (InModel, OfChannel)):
                 effect.check()
-                self._ends = _ends(held)
+                self._ends = _ends(limits)
                 if not effect.simulated(self, *map(float, coef)):
                     reason = "it has no terms of a simulation"
             if reason:
@@ -174,9 +174,9 @@ class TermTable:
             rows[k][0] = level(t, signals)
 
 
-def _ends(held):
-    for quantity in HELD if held is not None else ():
-        ends = held.ends(quantity)
+def _ends(limits):
+    for quantity in HELD if limits is not None else ():
+        ends = limits.ends(quantity)
         if ends != _ENDLESS:
             return ends
     return _ENDLESS

@@ -60,7 +60,7 @@ def test_what_is_outside_is_told_with_its_size():
             fitted=(-1.0, 3.0),
             reached=-2.0,
             share=0.25,
-            held=("spring",),
+            clipped=("spring",),
         ),
     )
 

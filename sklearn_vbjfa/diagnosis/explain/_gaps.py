@@ -239,7 +239,7 @@ def _probe(search):
     scale = np.repeat([np.pi, 2.0, 10.0], nv)
     states = np.random.default_rng(0).uniform(-1, 1, size=(n, 3 * nv)) * scale
     inertial = (view.back @ search.fit.theta)[: features.n_parameters_]
-    motion = make_motion(features, states, None, [slice(0, n)], inertial)
+    motion = make_motion(features, states, [slice(0, n)], theta=inertial)
     # Corrections of the robot model are fitted together with its parameters.
     corrections = [
         effect.in_all(effect.columns(motion), motion.n_joints)

@@ -7,7 +7,7 @@ import numpy as np
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._view import even_weight
 from sklearn_vbjfa.equations._equations import derivative
-from sklearn_vbjfa.equations._plan import observe, resolve_cutoff
+from sklearn_vbjfa.equations._plan import estimate_states, resolve_cutoff
 from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.recording import take_rows
 
@@ -109,7 +109,7 @@ def _without_stretches(identifier, recording, parts):
     estimator, dt, options = None, identifier.dt, identifier.fit_options
     if recording.states is None:
         estimator = fit_states(dt, options.state_cutoff, recording.q, recording.groups)
-    states, facts = observe(recording, estimator, False, identifier.n_jobs)
+    states, facts = estimate_states(recording, estimator, False, identifier.n_jobs)
     limit = np.maximum(facts.standstill(options.standstill, estimator), 0.0)
     longest = max(part.stop - part.start for part in parts)
     cutoff = resolve_cutoff(identifier.cutoff, longest, dt, estimator, identifier.drive)

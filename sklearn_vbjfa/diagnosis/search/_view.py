@@ -159,7 +159,7 @@ class RecordingView:
     def at_rest(self):
         """Return the joints that often stand still for longer than the low-pass."""
         v = self.states[:, self.nv : 2 * self.nv]
-        still = np.abs(v) <= self.robot.plan.masked
+        still = np.abs(v) <= self.robot.plan.mask_speeds
         length = max(1.0 / (self.robot.cutoff_ * (self.dt or 1.0)), 1.0)
         count = np.zeros(self.nv, dtype=int)
         for part in self.parts:
@@ -284,20 +284,21 @@ class RecordingView:
     def motion_of(self, parameters, effects=()):
         """Return signals, with the load of parameters; see `make_motion`."""
         robot = self.robot
-        motion = make_motion(
+        return make_motion(
             robot.features_,
             self.states,
-            self.clock,
             self.parts,
-            parameters,
-            robot.cutoff_,
-            rest=robot.plan.turning,
+            theta=parameters,
             effects=effects,
+            rest=robot.plan.fit_rest,
+            t=self.clock,
+            bandwidth=robot.cutoff_,
             signals=self.signals,
             command=self.command,
             before=self.before,
+            begins=self._begins,
+            waves=robot.waves,
         )
-        return replace(motion, begins=self._begins, waves=robot.waves)
 
     # -- columns of effects -----------------------------------------------------------
 

@@ -98,12 +98,12 @@ class Groups:
         # of the group's block (Tipping and Faul, AISTATS 2003).
         return np.logaddexp.reduce(self._along(scale), axis=0)
 
-    def discounted(self, excess):
+    def discounted(self, overdispersion):
         """Return the moments of a likelihood discounted for overdispersion."""
-        value, rest, vectors = self._spectral
-        spectral = value / excess.ratio, rest / excess.ratio, vectors
-        moments = {x: getattr(self, x) / excess.ratio for x in ("H", "q", "own")}
-        groups = replace(self, **moments, freedom=excess.freedom)
+        (value, rest, vectors), ratio = self._spectral, overdispersion.ratio
+        spectral = value / ratio, rest / ratio, vectors
+        moments = {x: getattr(self, x) / ratio for x in ("H", "q", "own")}
+        groups = replace(self, **moments, freedom=overdispersion.freedom)
         groups.__dict__["_spectral"] = spectral
         return groups
 

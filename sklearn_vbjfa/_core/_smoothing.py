@@ -446,7 +446,7 @@ def interpolate(values, parts, t, delay=0.0, order=0):
     return out
 
 
-def zero_order_hold(values, parts, t, delay=0.0):
+def zero_order_hold(values, parts, t, delay):
     """Channels (n, ...) with zero-order hold that act with a delay [s]."""
     # Sampled steps would alias frequencies above the band of the rows into it. Within
     # the band, a hold is the average of a spline over the last period.

@@ -26,8 +26,8 @@ from sklearn_vbjfa.diagnosis.search._branches import (
     merge_branches,
     tune_branch_shapes,
 )
-from sklearn_vbjfa.diagnosis.search._path import slip_joints, tune_shapes
 from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings, search
+from sklearn_vbjfa.diagnosis.search._stepwise import slip_joints, tune_shapes
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
 from sklearn_vbjfa.effects import Sudden, TorqueGain, declarable, resolve
 from sklearn_vbjfa.equations._plan import check_effects, check_weight
@@ -259,7 +259,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         signals, unusable = scan_signals(signals, columns, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
-            outcome, self._expectation = self._close(whole, library, unusable)
+            outcome, self._expectation = self._run(whole, library, unusable)
         for name in ("effects", "possible", "unexplained", "not_identifiable"):
             setattr(self, f"{name}_", outcome.findings[name])
         for name in ("before", "plain", "after"):
@@ -301,69 +301,46 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         recording = take_arrays(X, y, groups, weight, t, dt=dt, joint_names=names)
         return recording, columns
 
-    def _close(self, whole, library, unusable):
+    def _run(self, whole, library, unusable):
         """Search, validate and fit the completed model; return an `Outcome`."""
         say("channels")
-        channels = self.identifier.findings(whole)
-        measured = self.identifier.drive is None and self.identifier.gains is None
-        fault = refusal(channels, whole.torque_units if measured else ())
-        if fault is not None:
-            raise fault
-        warned = [f for f in channels if f.severity == "warning"]
-        silent = [j for f in warned if f.kind in NO_INFORMATION for j in f.joints]
-        late, std = self.identifier.lag_from(whole, common_lag(channels))
-        self.torque_lag_ = sum((effect.lag for effect in late), 0.0)
+        channels, late, std = self._inspect(whole)
         if late:
             whole = with_torques_shifted(whole, self.torque_lag_)
         say("declared model")
         split = split_in_time(self.identifier, whole, self.test_size)
-        part = split.searched(whole)
-        self.declared_ = clone(self.identifier).fit_without_inspection(
-            part, compare=False
-        )
-        self.baseline_ = self.declared_
-        if set(declarable()) - set(self.declared_.features_.friction_):
-            # Do not duplicate friction terms that are declared on single joints.
-            kept = tuple(
-                effect
-                for effect in self.identifier.effects
-                if effect.name not in declarable() or any(effect.shape().values())
-            )
-            new = clone(self.identifier).set_params(friction=declarable(), effects=kept)
-            self.baseline_ = new.fit_without_inspection(part, compare=False)
-        begins = tuple(whole.t[rows.start] for rows in whole.segments)
-        repetition = find_repetition(whole.q, whole.t, whole.segments)
-        timing = {"begins": begins, "repetition": repetition}
-        lowpass = self.baseline_.robot_.plan.lowpass
-        moving = split.moving[split.rows]
-        chosen, pieces = stretches(part.segments, moving, lowpass)
-        thinned = replace(split, rows=split.rows[chosen], pieces=pieces)
+        training = split.searched(whole)
+        self._fit_declared(training)
         say("search")
-        keywords = {"origin": whole.groups[thinned.rows], **timing}
-        searched = thinned.searched(whole)
-        result = self._search(searched, silent, keywords, library)
+        lowpass = self.baseline_.robot_.plan.lowpass
+        repetition = find_repetition(whole.q, whole.t, whole.segments)
+        chosen, pieces = stretches(training.segments, split.moving[split.rows], lowpass)
+        thinned = replace(split, rows=split.rows[chosen], pieces=pieces)
+        settings = {"origin": whole.groups[thinned.rows], "repetition": repetition}
+        searched = _without_joints(thinned.searched(whole), channels)
+        result = self._search(searched, settings, library)
         masses = self.identifier.fit_options.known_masses or ()
-        if PAYLOAD not in masses and set(result.changes) & set(begins):
+        if PAYLOAD not in masses and {*result.changes} & {*repetition.begins.tolist()}:
             # A change between recordings would depend on their order, except for that
             # of a known mass, whose sign is not used.
             library = [e for e in library if not isinstance(e, Sudden)]
-            result = self._search(searched, silent, keywords, library)
+            result = self._search(searched, settings, library)
         say("held-out judgement")
         model, torques = self.baseline_, ()
         if result.effects:
-            model = self._fit_with(result.effects, model, part)
+            model = self._fit_with(result.effects, model, training)
         if isinstance(self.effects, str) and self.identifier.drive is None:
             fit = FinalFit(self.baseline_, model, result.view)
             torques = unnamed_torques(fit, result.settings)
         self.validation_model_ = model.extended_by(torques)
-        del part  # a copy of most rows
+        del training  # a copy of most rows
         judged = held_out_errors(self, result, split, thinned, whole)
         self.torque_std_ = judged["columns"]["spread"]
         say("final model")
         rows, pieces = stretches(whole.segments, split.moving, lowpass)
-        sample = take_rows(whole, rows, pieces)
-        keywords = {"origin": whole.groups[rows], "all_samples": True, **timing}
-        final = self._fit_final(result, model, whole, sample, silent, keywords)
+        sample = _without_joints(take_rows(whole, rows, pieces), channels)
+        settings = settings | {"origin": whole.groups[rows], "all_samples": True}
+        final = self._fit_final(result, model, whole, sample, settings)
         self.identifier_ = final.identifier.extended_by(supported_terms(final, torques))
         say("explaining")
         channels = (*channels, *unusable)
@@ -372,11 +349,37 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             setattr(self, name, getattr(self, name).extended_by(late, std))
         return results
 
-    def _search(self, part, silent, keywords, library):
+    def _inspect(self, whole):
+        """Return channel findings, and the lag of all torques as effects with std."""
+        channels = self.identifier.findings(whole)
+        measured = self.identifier.drive is None and self.identifier.gains is None
+        fault = refusal(channels, whole.torque_units if measured else ())
+        if fault is not None:
+            raise fault
+        late, std = self.identifier.lag_from(whole, common_lag(channels))
+        self.torque_lag_ = sum((effect.lag for effect in late), 0.0)
+        return channels, late, std
+
+    def _fit_declared(self, training):
+        """Fit the declared model, and with the declarable friction terms."""
+        declared = clone(self.identifier)
+        declared.fit_without_inspection(training, compare=False)
+        self.declared_ = self.baseline_ = declared
+        if set(declarable()) - set(declared.features_.friction_):
+            # Do not duplicate friction terms that are declared on single joints.
+            kept = tuple(
+                effect
+                for effect in self.identifier.effects
+                if effect.name not in declarable() or any(effect.shape().values())
+            )
+            new = clone(self.identifier).set_params(friction=declarable(), effects=kept)
+            self.baseline_ = new.fit_without_inspection(training, compare=False)
+
+    def _search(self, recording, view_settings, library):
         """Search the robot, or each branch of a robot with many joints."""
         robot = self.baseline_.robot_
         settings = SearchSettings() if self.settings is None else self.settings
-        view = RecordingView(robot, part, silent, **keywords)
+        view = RecordingView(robot, recording, **view_settings)
         branches = branches_of(self.baseline_, library, self.max_effects)
         used = [b for b in branches if view.precision[b.joints].any()]
         if len(branches) == 1 or not used:
@@ -384,7 +387,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             return search(view, library, settings, self.alpha, self.max_effects)
         # The branches share the prior expectation of the number of effects.
         share = replace(settings, expected=settings.expected / len(used))
-        views = (branch.view(robot, part, silent, **keywords) for branch in used)
+        views = (branch.view(robot, recording, **view_settings) for branch in used)
         results = [search(v, library, share, self.alpha) for v in views]
         theta = robot.linear_part(self.baseline_.theta_unconstrained_)
         return merge_branches(view, view.motion_of(theta), used, results)
@@ -397,27 +400,27 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             # Keep the reference channels of the gains.
             names = baseline.joint_names_
             settings["gains"] = tuple(names[j] for j in baseline.gains_.references)
-        model = clone(baseline).set_params(**settings)
-        return model.fit_without_inspection(
-            recording, compare=False, previous=start.robot_
-        )
+        model, previous = clone(baseline).set_params(**settings), start.robot_
+        return model.fit_without_inspection(recording, compare=False, previous=previous)
 
-    def _fit_final(self, result, start, whole, subset, silent, keywords):
+    def _fit_final(self, result, start, whole, sample, view_settings):
         """Fit the completed model to all data, in the validated frequency band."""
         band, options, judged = {}, self.identifier.fit_options, self.validation_model_
         if isinstance(self.identifier.cutoff, str):
             band["cutoff"] = judged.cutoff_ if np.isfinite(judged.cutoff_) else None
         if isinstance(options.standstill, str):
             band["options"] = replace(options, standstill=judged.standstill_)
-        view = RecordingView(self.baseline_, subset, silent, **keywords)
+        data = self.baseline_.robot_, sample
+        view = RecordingView(*data, **view_settings)
         view = view.with_rest(slip_joints(result.effects))
         if result.branches:
-            data = self.baseline_.robot_, subset, silent
-            effects = tune_branch_shapes(result, lambda b: b.view(*data, **keywords))
+            effects = tune_branch_shapes(
+                result, lambda b: b.view(*data, **view_settings)
+            )
         else:
             effects = tune_shapes(view, result.effects, result.settings)
         model = self._fit_with(effects, start, whole, **band)
-        return FinalFit(self.baseline_, model, view, subset.n_samples / whole.n_samples)
+        return FinalFit(self.baseline_, model, view, sample.n_samples / whole.n_samples)
 
     @wraps(RobotIdentifier.predict)
     def predict(self, X, groups=None, t=None, signals=None):
@@ -452,3 +455,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         motion = motion_statistics(robot, states, *torques)
         error, low, high = self._expectation.of(motion)[:, :-1]
         return error, np.stack([low, high])
+
+
+def _without_joints(recording, channels):
+    """Set the weights of joints to zero whose channels carry too little information."""
+    weight = recording.weight.astype(float)
+    for finding in channels:
+        if finding.severity == "warning" and finding.kind in NO_INFORMATION:
+            weight[:, list(finding.joints)] = 0.0
+    return replace(recording, weight=weight)

@@ -192,7 +192,7 @@ class RegressorRows:
         declared = self._features.declared_indices_.ravel()
         return np.r_[declared, self._features.n_entries_ : self.used.size]
 
-    def nonsmooth_spans(self, rows, step=1):
+    def nonsmooth_spans(self, rows, step):
         """Yield the first row and the `nonsmooth` entries (n, k) of blocks of rows."""
         # Blocks begin at multiples of `step`.
         joints = self.used[self.nonsmooth] // self.n_parameters
@@ -475,7 +475,7 @@ def derivative(states, rows, order):
     return states[rows, order * nv : (order + 1) * nv]
 
 
-def _filter_rows(regressors, span, lowpass, count, step=1):
+def _filter_rows(regressors, span, lowpass, count, step):
     """Yield the first filtered row, and the entries (n, n_entries) by regressor."""
     # Smooth entries use every `step`-th row only.
     smooth_span, coarse = span, coarser(lowpass, step)

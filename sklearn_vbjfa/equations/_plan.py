@@ -448,7 +448,7 @@ def cutoff_of(bandwidth, dt):
     return max(CUTOFF_PER_BANDWIDTH * bandwidth, least)
 
 
-def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
+def resolve_cutoff(cutoff, longest, dt, state_estimator, drive):
     """Return the cut-off of the low-pass [Hz], infinity for none."""
     # A drive with position feedback turns the full band of the positions into torque;
     # the smoothed states contain it only in their passband.
@@ -566,7 +566,7 @@ def check_channels(names, positions, torques):
         warnings.warn(still.message, DoubtWarning, stacklevel=5)
 
 
-def check_length(parts, lowpass, cutoff, names=()):
+def check_length(parts, lowpass, cutoff, names):
     """Reject recordings all shorter than the filter; warn of some if named."""
     need = 2 * lowpass.half + 1
     short = [p for p in parts if p.stop - p.start < need]

@@ -166,7 +166,7 @@ def estimate(
     )
 
 
-def plain_estimate(moments, joint_weights="auto", bodies=None):
+def plain_estimate(moments, joint_weights, bodies):
     """Estimate by weighted least squares, corrected for input noise."""
     # The covariance is inflated for residuals correlated in time. bodies:
     # `BodyPosterior` whose prior is added, or None. Returns a `PlainEstimate`.
@@ -217,7 +217,7 @@ def inflated_noise(result):
     return noise_variance(moments, weight, theta, rank) * max(result.pooled, 1.0)
 
 
-def apply_description(result, description, bodies="prior"):
+def apply_description(result, description, bodies):
     """Return an `Estimate` with the description as prior, or with fixed bodies."""
     total, noise = result.moments.total(result.joint_weights), inflated_noise(result)
     method = around if bodies == "prior" else fix_bodies

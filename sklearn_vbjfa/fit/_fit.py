@@ -288,7 +288,7 @@ def _zero_excluded(result, excluded):
 # -- passes of a fit -------------------------------------------------------------------
 
 
-def fit_robot(recipe, robot, data, previous=None):
+def fit_robot(recipe, robot, data, previous):
     """Fit a robot to a recording, iterating loads, gains and effects in the model."""
     # previous: a fitted robot whose load initialises the first pass, or None.
     if recipe.gains is not None:

@@ -193,7 +193,7 @@ def as_pinocchio(robot):
 # -- MJCF ------------------------------------------------------------------------------
 
 
-def _mjcf_dynamics(account, servo=None):
+def _mjcf_dynamics(account, servo):
     robot, nv = account.robot, account.robot.n_joints
     damping, frictionloss, armature = (
         account.passive(name) for name in ("viscous", "coulomb", "rotor_inertia")

@@ -74,13 +74,13 @@ def _sizes(units):
     return {name for name, unit in units.items() if "N" in unit or "kg" in unit}
 
 
-def discovered_effects(search, final, names, prismatic, contradicting, rising, hidden):
+def discovered_effects(result, final, names, prismatic, contradicting, rising, hidden):
     """Yield each `DiscoveredEffect`, with the values of the final fit."""
     # contradicting: joints on which recordings contradict each other; rising (nv,):
     # increase of the held-out error, at most zero if tolerated; hidden: effects that
     # are not identifiable.
     hidden = {(x.name, x.joint) for x in hidden if x.reason == "excitation"}
-    found = zip(search.findings, final.effects, final.effect_estimates)
+    found = zip(result.findings, final.effects, final.effect_estimates)
     for finding, effect, estimate in found:
         values, deviations = named_values(effect, estimate)
         unknown = [key for key, std in deviations.items() if math.isnan(std)]
@@ -91,7 +91,7 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising, h
         warning = finding.warning
         if not warning and isinstance(effect, InModel):
             nominal = dict(zip(effect.coefficients, effect.nominal))
-            least = {k: search.settings.known * x for k, x in deviations.items()}
+            least = {k: result.settings.known * x for k, x in deviations.items()}
             departs = (abs(values[k] - nominal.get(k, 0.0)) > least[k] for k in least)
             warning = "" if any(departs) else _UNSURE
         elif not warning:
@@ -109,7 +109,7 @@ def discovered_effects(search, final, names, prismatic, contradicting, rising, h
         acted = effect.acts_on(len(names))
         warning = warning or _DIFFERING * (not contradicting.isdisjoint(acted))
         warning = warning or _RISING * bool(rising[acted].sum() > 0)
-        rivals = (*finding.rivals, *_containing(effect, finding, search, hidden))
+        rivals = (*finding.rivals, *_containing(effect, finding, result, hidden))
         yield DiscoveredEffect(
             name=effect.name,
             joint=effect.joint,
@@ -147,13 +147,13 @@ def _intervals(effect, estimate, values, deviations):
     return intervals
 
 
-def _containing(effect, finding, search, hidden):
+def _containing(effect, finding, result, hidden):
     """Yield effects that contain an effect, and that the motion does not excite."""
     # They explain as much, and only their further parameter makes them less probable.
     known = {rival.name for rival in finding.rivals}
-    for other in search.library:
+    for other in result.library:
         unexcited = (other.name, effect.joint) in hidden and other.name not in known
-        if unexcited and effect.name in closure(other, search.library):
+        if unexcited and effect.name in closure(other, result.library):
             yield clone(other).set_params(joint=effect.joint)
 
 

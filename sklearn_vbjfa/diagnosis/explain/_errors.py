@@ -21,15 +21,15 @@ _QUANTILE = 0.999
 _COSINES = 10
 
 
-def held_out_errors(loop, search, split, thinned, whole):
-    """Compute the errors of the models of a loop on the held-out part, a dict."""
-    # search: its result; thinned: the split with the rows that the search used.
+def held_out_errors(discovery, result, split, thinned, whole):
+    """Compute the errors of the models of a discovery on the held-out part, a dict."""
+    # thinned: the split with the rows that the search used.
     # Arrays (nv,) and (2, nv) are over the standard deviation of the torque.
-    declared, plain = loop.declared_, loop.baseline_
-    completed, view, dt = loop.validation_model_, search.view, loop.declared_.dt
+    declared, plain = discovery.declared_, discovery.baseline_
+    completed, view, dt = discovery.validation_model_, result.view, declared.dt
     # The correlation time may be infinite.
-    guard = int(min(memory_seconds(search) / whole.dt, whole.n_samples))
-    guarded = split.without(whole.t, search.changes).with_guard(guard)
+    guard = int(min(memory_seconds(result) / whole.dt, whole.n_samples))
+    guarded = split.without(whole.t, result.changes).with_guard(guard)
     used, n_rows = view.root.any(axis=0), len(view.states)
 
     def residuals(part, rows, used=1.0):

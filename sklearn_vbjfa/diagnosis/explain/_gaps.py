@@ -109,15 +109,15 @@ class Unexplained:
     signals: tuple[Dependence, ...] = ()  # that it depends on, the strongest first
 
 
-def unexplained(search, names, sizes, errors, least):
+def unexplained(result, names, sizes, errors, least):
     """Return joints whose residual exceeds the noise floor, with its dependences."""
-    # search: its result; sizes (3, nv): standard deviation and noise floor of the
-    # readings, and their gains; errors, least (nv,): held-out error and the lower end
-    # of its interval, over the deviation; nan where unknown.
-    view, listed, (spread, floors, gains) = search.view, [], sizes
-    signals = motion_signals(search.motion, names)
+    # sizes (3, nv): standard deviation and noise floor of the readings, and gains;
+    # errors, least (nv,): held-out error and the lower end of its interval, over the
+    # deviation; nan where unknown.
+    view, listed, (spread, floors, gains) = result.view, [], sizes
+    signals = motion_signals(result.motion, names)
     filtered = {key: view.filtered(x[:, None])[:, 0] for key, x in signals.items()}
-    weights, residuals = view.equations.weight, _residuals(search)
+    weights, residuals = view.equations.weight, _residuals(result)
     for j in np.flatnonzero(weights.any(axis=0)).tolist():
         weight, floor, residual = weights[:, j], float(floors[j]), residuals[j]
         rms = float(np.sqrt((weight * residual**2).sum() / weight.sum()))
@@ -144,17 +144,17 @@ def unexplained(search, names, sizes, errors, least):
     return tuple(listed)
 
 
-def _residuals(search):
+def _residuals(result):
     """Return residuals (nv, m) [N m or N], zero in rows of zero weight."""
-    return search.residual / or_one(search.view.root.T)
+    return result.residual / or_one(result.view.root.T)
 
 
-def memory_seconds(search):
+def memory_seconds(result):
     """Return the longest correlation time of the residuals of all joints [s]."""
-    view = search.view
+    view = result.view
     # The low-pass correlates rows within half a period of its cut-off frequency.
     stride = max(1, int(np.ceil(0.5 / (view.robot.cutoff_ * view.step) - 1e-9)))
-    residual = _residuals(search).T
+    residual = _residuals(result).T
     return correlation_time(residual, view.root, view.step, view.starts, stride)
 
 
@@ -171,47 +171,47 @@ class NotIdentifiable:
     remedy: str = ""  # what to record
 
 
-def not_identifiable(search, names):
+def not_identifiable(result, names):
     """Return effects of the library that are not identifiable, by joint."""
     # Branches that were searched separately are examined separately.
-    parts = [(branch.joints, result) for branch, result in search.branches]
+    parts = [(branch.joints, part) for branch, part in result.branches]
     listed = []
-    for joints, result in parts or [(range(len(names)), search)]:
-        for effect, reason, remedy in _hidden_effects(result):
+    for joints, part in parts or [(range(len(names)), result)]:
+        for effect, reason, remedy in _hidden_effects(part):
             j = joints[effect.joint]
             about = {"name": effect.name, "joint": j, "joint_name": names[j]}
             listed.append(NotIdentifiable(reason=reason, remedy=remedy, **about))
     return tuple(sorted(listed, key=lambda hidden: hidden.joint))
 
 
-def _hidden_effects(search):
+def _hidden_effects(result):
     """Yield the effects that one search cannot identify, with reason and remedy."""
-    view, motion = search.view, search.motion
-    probe, fitted = _probe(search), {e.key() for e in view.robot.effects_}
+    view, motion = result.view, result.motion
+    probe, fitted = _probe(result), {e.key() for e in view.robot.effects_}
     for joint in np.flatnonzero(view.precision > 0).tolist():
-        library = [clone(e).set_params(joint=joint) for e in search.library]
-        selected = [e for e in search.effects if e.joint == joint]
-        contained = (closure(e, search.library) | {e.name} for e in selected)
+        library = [clone(e).set_params(joint=joint) for e in result.library]
+        selected = [e for e in result.effects if e.joint == joint]
+        contained = (closure(e, result.library) | {e.name} for e in selected)
         present = set(view.declared).union(*contained)
         missing = {e.name: e for e in library if e.name not in present}
         for e in (e for e in missing.values() if e.key() not in fitted):
             remedy = e.applies(motion)
             if remedy.startswith("needs"):
                 yield e, "signal", remedy
-            elif not remedy and _is_hidden(e, search, missing):
+            elif not remedy and _is_hidden(e, result, missing):
                 spanned = _in_span(e, *probe)
                 yield (e, "span", "") if spanned else (e, "excitation", e.record)
 
 
-def _is_hidden(effect, search, missing):
+def _is_hidden(effect, result, missing):
     """Whether the declared columns and contained effects span every shape."""
     # missing: effects, by name, that the model of the joint does not contain.
-    fit, simpler, tested = search.fit, missing.keys() & set(effect.contains), []
-    for columns in search.candidates[effect.joint]:
+    fit, simpler, tested = result.fit, missing.keys() & set(effect.contains), []
+    for columns in result.candidates[effect.joint]:
         name = columns.effects[0].name
         if name == effect.name or name in simpler:
             if columns.load is not None:
-                columns = search.fit.problem.columns(columns.effects)
+                columns = result.fit.problem.columns(columns.effects)
             if name == effect.name:
                 tested.append(columns)
             else:
@@ -223,27 +223,27 @@ def _is_hidden(effect, search, missing):
         if isinstance(effect, InModel):
             # Hidden if not even its largest plausible value would be reported.
             reach = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)
-            needed = search.needed + np.log(max(search.n_candidates, 1))
+            needed = result.needed + np.log(max(result.n_candidates, 1))
             remaining, least = 0.5 * remaining[0] * reach**2, needed + _PENALTY
         if (remaining > least).any():
             return False
     return bool(tested)
 
 
-def _probe(search):
+def _probe(result):
     """Return a basis of the regressor, and the motion, of fully exciting states."""
-    view = search.view
+    view = result.view
     features, nv = view.robot.features_, view.nv
     n = 20 * features.n_parameters_ // nv + 200
     # Full revolutions, since the span for any motion depends on no recording.
     scale = np.repeat([np.pi, 2.0, 10.0], nv)
     states = np.random.default_rng(0).uniform(-1, 1, size=(n, 3 * nv)) * scale
-    inertial = (view.back @ search.fit.theta)[: features.n_parameters_]
+    inertial = (view.back @ result.fit.theta)[: features.n_parameters_]
     motion = make_motion(features, states, [slice(0, n)], theta=inertial)
     # Corrections of the robot model are fitted together with its parameters.
     corrections = [
         effect.in_all(effect.columns(motion), motion.n_joints)
-        for effect in (*view.robot.effects_, *search.effects)
+        for effect in (*view.robot.effects_, *result.effects)
         if isinstance(effect, InModel) and effect.of_bodies
     ]
     Phi = np.concatenate([features.matrices(states), *corrections], axis=2)

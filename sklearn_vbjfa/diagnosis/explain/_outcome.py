@@ -106,15 +106,16 @@ class Outcome:
         return tuple(fact for fact in self.facts if fact.kind == kind)
 
 
-def make_outcome(loop, search, final, judged, channels, whole):
-    """Return the `Outcome` of a loop, and the `ExpectedError` of other motions."""
-    # The models of the loop were fitted to the rows of the search, `final` to all data;
+def make_outcome(discovery, result, final, judged, channels, whole):
+    """Return the `Outcome` of a discovery, and the `ExpectedError` of other motions."""
+    # Its models were fitted to the rows of the search, `final` to all data;
     # `judged` is returned by `held_out_errors`; `whole` is all data.
     identifier, columns = final.identifier, judged["columns"]
     names, spread, after = identifier.joint_names_, columns["spread"], columns["after"]
+    validated = discovery.validation_model_
     # The final fit has the most data; missing effects raise the declared one's floor.
     floor = identifier.noise_floor_
-    floor = np.where(np.isfinite(floor), floor, loop.validation_model_.noise_floor_)
+    floor = np.where(np.isfinite(floor), floor, validated.noise_floor_)
     with np.errstate(divide="ignore", invalid="ignore"):
         columns["floor"] = floor / spread
     parts, interval = RecordingMoments.of(final), judged["intervals"]["after"]
@@ -125,11 +126,11 @@ def make_outcome(loop, search, final, judged, channels, whole):
     least = np.fmin(columns["before"], columns["plain"])
     rose = rises(errors, least, columns["floor"])
     rising = np.where(rose, errors - least, np.fmin(errors - least, 0.0))
-    differing = contradictions(parts, spread, loop.alpha)
-    hidden = not_identifiable(search, names)
+    differing = contradictions(parts, spread, discovery.alpha)
+    hidden = not_identifiable(result, names)
     doubts = {x.joint for x in differing}, rising, hidden
     prismatic = is_prismatic(identifier.features_.model_)
-    effects = tuple(discovered_effects(search, final, names, prismatic, *doubts))
+    effects = tuple(discovered_effects(result, final, names, prismatic, *doubts))
     gains, units = np.abs(identifier.features_.gains_), np.where(prismatic, "N", "N m")
     if identifier.gains_ is not None and not identifier.gains_.absolute:
         gains, recorded = np.ones(spread.size), whole.torque_units
@@ -145,15 +146,16 @@ def make_outcome(loop, search, final, judged, channels, whole):
     columns["intervals"] = _rows(intervals)
     sizes, parameters = (spread, floor, gains), parameter_values(identifier)
     masses = _masses(identifier, parameters)
-    judged_effects = loop.validation_model_.effects_
     worst = np.argsort(-np.nan_to_num(after, nan=-1), kind="stable")[:_N_DRAWN].tolist()
     outcome = Outcome(
         errors=tuple(JointErrors(**row) for row in _rows(columns)),
         findings={
             "effects": tuple(e for e in effects if not e.warning),
             "possible": tuple(e for e in effects if e.warning),
-            "unnamed": tuple(e for e in judged_effects if isinstance(e, UnnamedTorque)),
-            "unexplained": unexplained(search, names, sizes, errors, low),
+            "unnamed": tuple(
+                e for e in validated.effects_ if isinstance(e, UnnamedTorque)
+            ),
+            "unexplained": unexplained(result, names, sizes, errors, low),
             "not_identifiable": hidden,
             "channels": tuple(c for c in channels if not is_refuted(c, *good)),
             "contradictions": differing,
@@ -162,10 +164,10 @@ def make_outcome(loop, search, final, judged, channels, whole):
             "alike": identifier.alike_,
         },
         facts=(*parameters, *masses, *_expected(expectation, names)),
-        robot=_robot(loop, search, identifier, whole),
+        robot=_robot(discovery, result, identifier, whole),
         curves={
             "index": residuals[0].index,
-            "residuals": residual_curves(residuals[1], loop.declared_.dt, worst),
+            "residuals": residual_curves(residuals[1], discovery.declared_.dt, worst),
             "torques": torque_curves(*residuals, whole.t, worst),
         },
         provenance={
@@ -175,7 +177,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
             "rate": float(1.0 / whole.dt),
             "looked_at": judged["looked_at"],
             "left_out": expectation.recordings,
-            "settings": _settings(loop, search) | judged["settings"],
+            "settings": _settings(discovery, result) | judged["settings"],
         },
     )
     return outcome, expectation
@@ -198,12 +200,12 @@ def _expectation(final, parts, columns, interval):
     return ExpectedError(error, *data)
 
 
-def _robot(loop, search, identifier, whole):
+def _robot(discovery, result, identifier, whole):
     """Describe the declared model, and properties of the completed one."""
-    robot, drive = loop.declared_, loop.declared_.drive
-    features, plain = robot.features_, loop.baseline_.features_.friction_
+    robot, drive = discovery.declared_, discovery.declared_.drive
+    features, plain = robot.features_, discovery.baseline_.features_.friction_
     model = features.model_
-    library = (*resolve(declarable()), *robot.effects_, *search.library)
+    library = (*resolve(declarable()), *robot.effects_, *result.library)
     limits = [model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit]
     limits = np.array(limits).T
     # Descriptions without limits are read as zeros.
@@ -229,17 +231,17 @@ def _robot(loop, search, identifier, whole):
     }
 
 
-def _settings(loop, search):
+def _settings(discovery, result):
     """Thresholds, signals and versions, a dict."""
     from sklearn_vbjfa import __version__
 
     return {
-        "test_size": float(loop.test_size),
-        "alpha": float(loop.alpha),
-        "n_candidates": int(search.n_candidates),
-        "search": dataclasses.asdict(search.settings),
-        "effects": tuple(e.name for e in search.library),
-        "signals": tuple(search.view.signals),
+        "test_size": float(discovery.test_size),
+        "alpha": float(discovery.alpha),
+        "n_candidates": int(result.n_candidates),
+        "search": dataclasses.asdict(result.settings),
+        "effects": tuple(e.name for e in result.library),
+        "signals": tuple(result.view.signals),
         "error_seconds": NEXT_SECONDS,
         "versions": {
             "sklearn_vbjfa": __version__,

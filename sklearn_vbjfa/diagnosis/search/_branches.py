@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.search._path import tune_shapes
 from sklearn_vbjfa.diagnosis.search._posterior import sort_findings
+from sklearn_vbjfa.diagnosis.search._stepwise import tune_shapes
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import OfRobot, ToAnother
 from sklearn_vbjfa.equations._features import RigidBodyFeatures
@@ -66,11 +66,9 @@ class Branch:
             columns[name] = tuple(all_joints[j] for j in self.joints)
         return replace(recording, **columns)
 
-    def view(self, robot, recording, leave_out, **keywords):
+    def view(self, robot, recording, **keywords):
         """Return the `RecordingView` of the branch of a fitted robot."""
-        silent, part = np.isin(self.joints, leave_out), self.recording(recording)
-        silent = np.flatnonzero(silent)
-        return RecordingView(self.robot(robot), part, silent, **keywords)
+        return RecordingView(self.robot(robot), self.recording(recording), **keywords)
 
     def on_robot(self, effect):
         """Renumber the joints of an effect of the branch as in the robot."""

@@ -39,8 +39,8 @@ class Candidate:
     coef: np.ndarray  # (k,): of the best shape
     # whether its evidence is discounted, see `Fit.overdispersion`; else an upper bound
     discounted: bool = False
-    # log odds for comparisons of candidates, see `Overdispersion.as_usual`
-    order: float = 0.0
+    # the same for comparisons of candidates, see `Overdispersion.as_usual`
+    usual_odds: float = 0.0
 
     @property
     def effect(self):
@@ -76,7 +76,7 @@ class Candidates:
         self.least = float(logit(settings.min_probability))
         self._cache = {}
 
-    def candidate(self, fit, columns, excess=None):
+    def candidate(self, fit, columns, overdispersion=None):
         """Return the best shape of an effect given a fit as a `Candidate`, or None."""
         # Rivals are within `rivals` nats; noise spectra use one candidate per joint.
         scale, least = self.settings.scale, -np.log(len(self.columns))
@@ -84,14 +84,14 @@ class Candidates:
         if isinstance(columns.effects[0], InModel):
             least = _GEOMETRY_ODDS
         threshold, groups = least - self.log_prior, fit.groups(columns)
-        if excess is None:
+        if overdispersion is None:
             # At any scale the likelihood ratio of the best coefficients is larger; for
             # banks, whose evidence takes long to compute, it suffices here.
             evidence = 0.5 * groups.gain()
             if evidence.max() > threshold and not groups.positive:
                 evidence = groups.evidence(scale)
         else:
-            groups = groups.discounted(excess)
+            groups = groups.discounted(overdispersion)
             evidence = groups.evidence(scale)
         if not evidence.max() > threshold:
             return None
@@ -114,7 +114,7 @@ class Candidates:
             columns=columns,
             best=best,
             log_odds=log_odds,
-            order=log_odds,
+            usual_odds=log_odds,
             coef=coefs[best],
         )
 
@@ -122,15 +122,15 @@ class Candidates:
         """Discount the evidence of a candidate by its overdispersion; may be None."""
         if candidate.discounted:
             return candidate
-        columns, excess = candidate.columns, Overdispersion()
+        columns, overdispersion = candidate.columns, Overdispersion()
         if self.noise is not None:
             shape = candidate.best, candidate.coef
-            excess = fit.overdispersion(columns, *shape, self.noise)
-        usual = self.candidate(fit, columns, excess.as_usual())
-        if usual is None or not np.isfinite(excess.freedom):
+            overdispersion = fit.overdispersion(columns, *shape, self.noise)
+        usual = self.candidate(fit, columns, overdispersion.as_usual())
+        if usual is None or not np.isfinite(overdispersion.freedom):
             return usual and replace(usual, discounted=True)
-        strict = self.candidate(fit, columns, excess)
-        return strict and replace(strict, discounted=True, order=usual.order)
+        strict = self.candidate(fit, columns, overdispersion)
+        return strict and replace(strict, discounted=True, usual_odds=usual.usual_odds)
 
     def shapes(self, member):
         """Count the shapes from which a member was selected."""
@@ -180,8 +180,8 @@ class Candidates:
     def _best_on(self, fit, joint, changed):
         """Return the best discounted candidate of a joint, None if none is probable."""
         # The residual of a joint without samples is zero.
-        own = [joint] if fit.problem.used_joints[joint] else slice(None)
-        white = fit.residual[own] * np.sqrt(fit.base.weights[own])
+        joints = [joint] if fit.problem.used_joints[joint] else slice(None)
+        white = fit.residual[joints] * np.sqrt(fit.base.weights[joints])
         members = {m.effect.key() for m in fit.members if joint in m.joints}
         if joint in self._cache:
             old, keys, _ = self._cache[joint]
@@ -191,7 +191,9 @@ class Candidates:
             self._cache[joint] = white, members, self.on(fit, joint)
         candidates = self._cache[joint][2]
         while probable := [c for c in candidates if c.log_odds > self.least]:
-            best = min(probable, key=lambda c: (self.is_deferred(fit, c), -c.order))
+            best = min(
+                probable, key=lambda c: (self.is_deferred(fit, c), -c.usual_odds)
+            )
             if best.discounted:
                 return self._simpler(fit, best, candidates)
             candidates.remove(best)
@@ -214,15 +216,15 @@ class Candidates:
     def best_discounted(self, fit, candidates, margin=0.0):
         """Return discounted candidates within a margin of the best, the best first."""
         # Discounting only lowers evidence: skip candidates below the best discounted.
-        discounted, remaining = [], sorted(candidates, key=lambda c: c.order)
+        discounted, remaining = [], sorted(candidates, key=lambda c: c.usual_odds)
         best = -np.inf
-        while remaining and remaining[-1].order > best - margin:
+        while remaining and remaining[-1].usual_odds > best - margin:
             candidate = self.discounted(fit, remaining.pop())
             if candidate is not None:
                 discounted.append(candidate)
-                best = max(best, candidate.order)
-        discounted = [c for c in discounted if c.order > best - margin - 1e-9]
-        return sorted(discounted, key=lambda c: -c.order)
+                best = max(best, candidate.usual_odds)
+        discounted = [c for c in discounted if c.usual_odds > best - margin - 1e-9]
+        return sorted(discounted, key=lambda c: -c.usual_odds)
 
     def rivals(self, fit, i):
         """Return candidates that could replace a member, the best first."""
@@ -231,8 +233,8 @@ class Candidates:
         everywhere = isinstance(member.effect, InModel)
         joints = [j for j in self.columns if everywhere or j in member.joints]
         candidates = [c for j in joints for c in self.on(base, j)]
-        own = [c for c in candidates if c.effect.joint in member.joints]
-        rivals = self.best_discounted(base, own, self.settings.rivals)
+        same_joints = [c for c in candidates if c.effect.joint in member.joints]
+        rivals = self.best_discounted(base, same_joints, self.settings.rivals)
         if isinstance(member.effect, InModel):
             # Also geometric effects with the same correction and more parameters.
             keys = {c.effect.key() for c in rivals}
@@ -257,8 +259,10 @@ class Candidates:
         # usual: for comparisons, see `Overdispersion.as_usual`.
         log_odds, scale = [], self.settings.scale
         rows = zip(fit.members, fit.member_groups, fit.overdispersions(self.noise))
-        for member, groups, excess in rows:
-            discounted = groups.discounted(excess.as_usual() if usual else excess)
+        for member, groups, overdispersion in rows:
+            if usual:
+                overdispersion = overdispersion.as_usual()
+            discounted = groups.discounted(overdispersion)
             evidence = float(discounted.evidence(scale)[0])
             log_odds.append(evidence - np.log(self.shapes(member)))
         return np.array(log_odds) + self.log_prior

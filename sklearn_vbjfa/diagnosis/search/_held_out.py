@@ -108,7 +108,7 @@ class HeldOutFit:
         total = by_fold.sum(axis=0)
         ridge = _RIDGE * max(np.trace(total[:r, :r]) / max(r, 1), 1.0)
         prior = np.r_[np.full(r, ridge), fit.prior]
-        precision, zero = np.diag(prior), fit.problem.held
+        precision, zero = np.diag(prior), fit.problem.at_zero
         if zero.any():
             gram, rows = total[:r, :r] + precision[:r, :r], data.view.one_sided[zero]
             precision[:r, :r] += precision_at_zero(gram, rows)

@@ -11,13 +11,13 @@ from sklearn_vbjfa.diagnosis.search._held_out import (
     HeldOut,
     HeldOutFit,
 )
-from sklearn_vbjfa.diagnosis.search._path import (
+from sklearn_vbjfa.diagnosis.search._problem import Fit
+from sklearn_vbjfa.diagnosis.search._stepwise import (
     ENTRY_SHARE,
-    Path,
+    StepwiseSearch,
     relinearise,
     slip_joints,
 )
-from sklearn_vbjfa.diagnosis.search._problem import Fit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Bank, Effect, InModel, Motion, OfChannel, Sudden
 
@@ -104,7 +104,7 @@ class Evidence(CrossValidatedGain):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Finding:
+class FoundEffect:
     """An effect of the most probable model."""
 
     effect: Effect  # with its shape
@@ -155,28 +155,29 @@ def search(view, library, settings, alpha, max_effects=None):
     resting = _friction_at_rest(view, library, settings)
     while True:
         view = view.with_rest(resting)
-        path = Path(view, library, settings, max_effects)
-        fit, odds, gains = _final_model(path, path.run())
+        stepwise = StepwiseSearch(view, library, settings, max_effects)
+        fit, odds, gains = _final_model(stepwise, stepwise.run())
         bank_joints = slip_joints(member.effect for member in fit.members)
         if resting <= bank_joints:
             break
         # Rows at rest need presliding friction.
         resting &= bank_joints
-    gains = gains | (large := _sufficient_gains(path.validate(fit), settings.min_gain))
-    log_odds = path.candidates.log_odds(fit, usual=True)
+    large = _sufficient_gains(stepwise.validate(fit), settings.min_gain)
+    gains |= large
+    log_odds = stepwise.candidates.log_odds(fit, usual=True)
     view, findings = fit.problem.view, []
     for i, (member, entry) in enumerate(zip(fit.members, odds)):
         evidence = Evidence(log_odds=float(entry), **vars(gains[i]))
         rivals = tuple(
             c.effect
-            for c in path.candidates.rivals(fit, i)
+            for c in stepwise.candidates.rivals(fit, i)
             if c.effect.key() != member.effect.key()
-            and _can_replace(path, c, fit, i, log_odds[i])
+            and _can_replace(stepwise, c, fit, i, log_odds[i])
         )
-        warning = _warning(fit, member, evidence, needed, path)
+        warning = _warning(fit, member, evidence, needed, stepwise)
         warning = warning or ("" if i in large else SMALL)
         entry = {"effect": member.effect.completed(), "evidence": evidence}
-        findings.append(Finding(**entry, rivals=rivals, warning=warning))
+        findings.append(FoundEffect(**entry, rivals=rivals, warning=warning))
     return SearchResult(
         findings=sort_findings(findings),
         view=view,
@@ -184,28 +185,28 @@ def search(view, library, settings, alpha, max_effects=None):
         # Folds interleaved in time, as the held-out part is.
         residual=HeldOutFit(HeldOut(view, view.blocks.fold), fit).residual,
         fit=fit,
-        candidates=path.candidates.columns,
-        n_candidates=path.candidates.count,
+        candidates=stepwise.candidates.columns,
+        n_candidates=stepwise.candidates.count,
         needed=needed,
         settings=settings,
         library=tuple(library),
     )
 
 
-def _can_replace(path, candidate, fit, i, log_odds):
+def _can_replace(stepwise, candidate, fit, i, log_odds):
     """Check if a rival is as probable in place of a member, without its torque."""
     member, other = fit.members[i].effect, candidate.effect
     geometry = [isinstance(x, InModel) for x in (member, other)]
     # A rival that equals the member in a limit of its shape must be more probable.
     equal = member.name in other.contains and other.coefficients == member.coefficients
-    threshold = log_odds - (0.0 if equal else path.settings.rivals)
-    if geometry == [False, True] and candidate.order > threshold:
+    threshold = log_odds - (0.0 if equal else stepwise.settings.rivals)
+    if geometry == [False, True] and candidate.usual_odds > threshold:
         # Geometric columns are derivatives of a torque that includes the member's.
         reduced = relinearise(fit.without(i))
         columns = reduced.problem.columns(candidate.columns.effects)
-        candidate = path.candidates.candidate(reduced, columns)
-        candidate = candidate and path.candidates.discounted(reduced, candidate)
-    return all(geometry) or bool(candidate and candidate.order > threshold)
+        candidate = stepwise.candidates.candidate(reduced, columns)
+        candidate = candidate and stepwise.candidates.discounted(reduced, candidate)
+    return all(geometry) or bool(candidate and candidate.usual_odds > threshold)
 
 
 def _friction_at_rest(view, library, settings):
@@ -215,7 +216,7 @@ def _friction_at_rest(view, library, settings):
     resting = view.at_rest()
     if not banks or not resting:
         return set()
-    fit = Path(view.with_rest(resting), banks, settings).forward_selection()
+    fit = StepwiseSearch(view.with_rest(resting), banks, settings).forward_selection()
     return slip_joints(m.effect for m in fit.members).intersection(resting)
 
 
@@ -224,25 +225,25 @@ def sort_findings(findings):
     return tuple(sorted(findings, key=lambda f: (bool(f.warning), -f.evidence.gain)))
 
 
-def _final_model(path, fit):
+def _final_model(stepwise, fit):
     """Drop unsupported members one by one; return fit, log odds and gains."""
     # Unsupported: improbable given the spectrum of the whole model, no cross-validated
     # gain, or an impossible sign or size.
     cache = {}
     while True:
         exact = not cache
-        odds, validation = path.member_odds(fit, cache), path.validate(fit)
+        odds, validation = stepwise.refitted_odds(fit, cache), stepwise.validate(fit)
         gains = {i: validation.gain_of(i) for i in range(odds.size)}
         if not gains:
             return fit, odds, gains
         worst = int(np.argmin(odds))
-        if odds[worst] > path.candidates.least:
+        if odds[worst] > stepwise.candidates.least:
             scores = [
                 gain.gain
                 if member.effect.natural(fit.coefficients(i))
                 # It must help in most blocks to be called probable.
-                and ndtr(gain.errors) >= path.settings.min_probability
-                and validation.share_of(i) > ENTRY_SHARE * path.settings.min_gain
+                and ndtr(gain.errors) >= stepwise.settings.min_probability
+                and validation.share_of(i) > ENTRY_SHARE * stepwise.settings.min_gain
                 else -np.inf
                 for i, (member, gain) in enumerate(zip(fit.members, gains.values()))
             ]
@@ -252,7 +253,7 @@ def _final_model(path, fit):
                     return fit, odds, gains
                 cache = {}
                 continue
-        fit = path.dropped(fit, worst)
+        fit = stepwise.dropped(fit, worst)
 
 
 def _sufficient_gains(validation, min_gain):
@@ -270,13 +271,13 @@ def _sufficient_gains(validation, min_gain):
     return {i: validation.gain_of(i, absent) for i in kept}
 
 
-def _warning(fit, member, evidence, needed, path):
+def _warning(fit, member, evidence, needed, stepwise):
     """Return why an effect is not reported apart from a small gain, "" if it is."""
     if evidence.log_odds < needed:
         return UNDECIDED
-    if not evidence.errors > max(path.settings.significance, ndtri(expit(needed))):
+    if not evidence.errors > max(stepwise.settings.significance, ndtri(expit(needed))):
         return CHANCE
     filters = isinstance(member.effect, OfChannel) and member.effect.corner is not None
-    if filters and not path.above_motion(fit, member.effect):
+    if filters and not stepwise.above_motion(fit, member.effect):
         return SLOW_FILTER
     return ""

@@ -28,7 +28,7 @@ _SLOW, _SLOWEST = 4, 4
 _TINY = np.finfo(float).tiny
 # Ridge of the declared columns, relative to their squared norms, against rounding.
 _RIDGE = 1e-9
-# Prior precision of a term that is held at zero, relative to its precision by the data.
+# Prior precision of a term fixed at zero, relative to its precision by the data.
 _ZERO_PRECISION = 1e6
 
 
@@ -119,7 +119,7 @@ class Problem:
     # Z (nv, n, r), y (nv, n): cosines of the declared columns and of the torques,
     # sorted by band; edges (n_bands + 1,): bounds of the bands; torque (nv,): standard
     # deviation of the torque in weighted rows; motion: signals from which columns are
-    # computed; held (nv, n_terms): nonnegative friction terms that are held at zero.
+    # computed; at_zero (nv, n_terms): nonnegative friction terms that are fixed at 0.
 
     motion = None
 
@@ -134,7 +134,7 @@ class Problem:
         varying = view.target - mean[:, None] * view.root.T
         self.torque = np.sqrt((varying**2).sum(axis=1) / view.target.shape[1])
         self.used_joints = view.precision > 0
-        self.held = np.zeros(view.one_sided.shape[:2], dtype=bool)
+        self.at_zero = np.zeros(view.one_sided.shape[:2], dtype=bool)
         # Cached: most joints of consecutive fits have the same members.
         self.joint_columns = functools.lru_cache(_joint_columns)
 
@@ -155,7 +155,7 @@ class Problem:
         return np.add.reduceat(self.y**2, self.edges[:-1], axis=1)
 
     def changed(self, **values):
-        """Return a copy with other torques `y`, `motion` or terms `held`."""
+        """Return a copy with other torques `y`, `motion` or terms `at_zero`."""
         problem = copy.copy(self)
         vars(problem).update(values)
         # Products that depend on the torques become invalid.
@@ -200,13 +200,13 @@ def _solve(L, rhs, transposed=False):
 
 
 def precision_at_zero(gram, rows):
-    """Return the prior precision (r, r) that holds sums `rows` (h, r) at zero."""
+    """Return the prior precision (r, r) that fixes sums `rows` (h, r) at zero."""
     # gram (r, r): precision of the coefficients by the data.
     power = (_solve(linalg.cholesky(gram, lower=True), rows.T) ** 2).sum(axis=0)
     return (_ZERO_PRECISION / power * rows.T) @ rows
 
 
-class Base:
+class DeclaredFit:
     """Weighted regression on the declared columns, and moments of effects given it."""
 
     # density (nv, n_bands): weights of the cosines of each band, by the power `share`
@@ -219,8 +219,8 @@ class Base:
         G = np.tensordot(density, problem.gram, 2)
         # Relative to each column: weights scale some a thousand times more than others.
         G += np.diag(_RIDGE * np.maximum(np.diagonal(G), 1.0))
-        if problem.held.any():
-            G += precision_at_zero(G, problem.view.one_sided[problem.held])
+        if problem.at_zero.any():
+            G += precision_at_zero(G, problem.view.one_sided[problem.at_zero])
         self.L = linalg.cholesky(G, lower=True)
         self.t = _solve(self.L, np.tensordot(density, problem.rhs, 2))
         self._cache, self._cross_cache = WeakKeyDictionary(), WeakKeyDictionary()
@@ -232,9 +232,9 @@ class Base:
 
     def on(self, problem):
         """Apply the weights to other equations."""
-        kept = ("Z", "y", "held")
+        kept = ("Z", "y", "at_zero")
         if any(getattr(problem, x) is not getattr(self.problem, x) for x in kept):
-            return Base(problem, self.density, self.spectrum, self.share)
+            return DeclaredFit(problem, self.density, self.spectrum, self.share)
         other = copy.copy(self)
         other.problem = problem
         return other
@@ -504,26 +504,27 @@ class Fit:
         values = {"ratio": ratio, "freedom": freedom, "usual": usual}
         return Overdispersion(**{name: float(x) for name, x in values.items()})
 
-    def with_held(self, held):
-        """Hold other declared friction terms at zero, see `Problem`."""
+    def with_zeros(self, mask):
+        """Fix other declared friction terms at zero, see `Problem`."""
         problem = self.problem
-        changed = problem.changed(held=np.broadcast_to(held, problem.held.shape))
+        mask = np.broadcast_to(mask, problem.at_zero.shape)
+        changed = problem.changed(at_zero=mask)
         return Fit(self.base.on(changed), self.members)
 
     def with_valid_signs(self, errors):
-        """Hold declared friction terms at zero that would be negative."""
-        # errors: standard errors below zero from which a term is held; the small
-        # remainder of a held term shows the sign that it would have.
-        held, rows = self.problem.held, self.problem.view.one_sided
-        declared = _solve(self.base.L, rows.reshape(held.size, -1).T)
+        """Fix declared friction terms at zero that would be negative."""
+        # errors: standard errors below zero from which a term is fixed; the small
+        # remainder of a fixed term shows the sign that it would have.
+        at_zero, rows = self.problem.at_zero, self.problem.view.one_sided
+        declared = _solve(self.base.L, rows.reshape(at_zero.size, -1).T)
         coupled = _solve(self._factor, self._B.T @ declared)
         variance = (declared**2).sum(axis=0) + (coupled**2).sum(axis=0)
-        tolerance = errors * np.sqrt(variance).reshape(held.shape)
-        wrong = rows @ self.theta < np.where(held, 0.0, -tolerance)
+        tolerance = errors * np.sqrt(variance).reshape(at_zero.shape)
+        wrong = rows @ self.theta < np.where(at_zero, 0.0, -tolerance)
         # Elements of a bank include the dry friction of their joint.
         banks = (m.effect for m in self.members if isinstance(m.effect, Bank))
         wrong[[bank.joint for bank in banks]] = False
-        return self if (wrong == held).all() else self.with_held(wrong)
+        return self if (wrong == at_zero).all() else self.with_zeros(wrong)
 
     @functools.cached_property
     def covariance(self):
@@ -582,7 +583,7 @@ def fit_uniform(problem, weights, members=()):
     """Fit under one weight per joint (nv,), for rows that all have weight."""
     density = (weights * problem.cosines.fill)[:, None]
     bands = problem.cosines.octave.size
-    return Fit(Base(problem, np.repeat(density, bands, axis=1)), members)
+    return Fit(DeclaredFit(problem, np.repeat(density, bands, axis=1)), members)
 
 
 def with_joint_weights(fit):
@@ -622,7 +623,7 @@ def spectral_fit(fit, settings, share, rounds=3):
     for _ in range(rounds):
         spectrum = _spectrum(fit, settings)
         weights = spectrum.weights(problem.cosines, share)
-        new = Fit(Base(problem, weights, spectrum, share), fit.members)
+        new = Fit(DeclaredFit(problem, weights, spectrum, share), fit.members)
         # Stop: a band that is fitted ever closer would get ever more weight.
         if fit.base.share == share and new.log_evidence() < fit.log_evidence():
             break

@@ -179,9 +179,9 @@ def best_shape(fit, effect, scale):
     """Return an effect with its best shape between the grid points."""
     # `step_shapes` refines smooth parameters, jointly with other new members.
     if isinstance(effect, Bank):
-        return bank(fit, effect, scale)
+        return best_bank(fit, effect, scale)
     if isinstance(effect, Sudden):
-        return jump(fit, effect, scale)
+        return best_jump(fit, effect, scale)
     return effect
 
 
@@ -206,7 +206,7 @@ def with_shape(fit, i, effect):
     return Fit(fit.base, members)
 
 
-def bank(fit, effect, scale):
+def best_bank(fit, effect, scale):
     """Return the best bank given a fit, with its elements of positive size."""
     problem, shapes = fit.problem, fit.problem.shapes(effect)
     groups = fit.groups(problem.columns(shapes))
@@ -222,7 +222,7 @@ def bank(fit, effect, scale):
 # -- instants of jumps
 
 
-def jump(fit, effect, scale):
+def best_jump(fit, effect, scale):
     """Return a jump with its most probable times."""
 
     def evidence(effects):

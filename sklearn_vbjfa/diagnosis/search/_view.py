@@ -90,8 +90,8 @@ _MIN_RESTS = 10
 class RecordingView:
     """Filtered equations of a recording, and filtered columns of effects."""
 
-    # robot: fitted with the declared model; leave_out: joints whose channel carries no
-    # information; begins: start times of the recordings [s].
+    # robot: fitted with the declared model; origin: recording of each row; repetition:
+    # see `find_repetition`, None if unknown.
     # Samples for columns of effects, of a long recording every `stride`-th: states (n,
     # 3 nv), clock (n,) [s] or None, signals (n,) by name.
     # Filtered rows: index (m,), central sample of each; root (m, nv), square roots of
@@ -105,9 +105,7 @@ class RecordingView:
         self,
         robot,
         recording,
-        leave_out=(),
         origin=None,
-        begins=None,
         repetition=None,
         all_samples=False,
     ):
@@ -117,10 +115,8 @@ class RecordingView:
         states = robot.states(recording.inputs, recording.groups)
         self._lowpass = robot.plan.lowpass
         self.step = (robot.dt or 1.0) * self._lowpass.step
-        self._begins, self.repetition = begins, repetition
-        weight = recording.weight.astype(float)
-        weight[:, list(leave_out)] = 0.0
-        self._source = replace(recording, weight=weight, t=clock), states
+        self.repetition = repetition
+        self._source = replace(recording, t=clock), states
         self._root, self._corrections = self, frozenset()
         self._corrected, self.cache, self._recent = {}, WeakValueDictionary(), {}
         self._set_equations()
@@ -283,7 +279,7 @@ class RecordingView:
 
     def motion_of(self, parameters, effects=()):
         """Return signals, with the load of parameters; see `make_motion`."""
-        robot = self.robot
+        robot, repetition = self.robot, self.repetition
         return make_motion(
             robot.features_,
             self.states,
@@ -296,7 +292,7 @@ class RecordingView:
             signals=self.signals,
             command=self.command,
             before=self.before,
-            begins=self._begins,
+            begins=None if repetition is None else tuple(repetition.begins),
             waves=robot.waves,
         )
 

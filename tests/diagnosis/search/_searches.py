@@ -6,8 +6,8 @@ import numpy as np
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.diagnosis import SearchSettings
-from sklearn_vbjfa.diagnosis.search._path import Path
 from sklearn_vbjfa.diagnosis.search._posterior import search as posterior
+from sklearn_vbjfa.diagnosis.search._stepwise import StepwiseSearch
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.recording import take_arrays
 from tests.diagnosis._recordings import record
@@ -43,7 +43,7 @@ class Search:
 
     def path(self):
         """Return the path to the most probable model."""
-        return Path(self.view, self.library, self.settings, self.max_effects)
+        return StepwiseSearch(self.view, self.library, self.settings, self.max_effects)
 
     def run(self):
         """Run the search and return its result."""

@@ -89,7 +89,7 @@ def test_a_branch_matches_its_part_of_the_robot(two_arms):
         names = [recording.joint_names[j] for j in branch.joints]
         assert list(part.joint_names) == names
         view = RecordingView(robot, weighted)
-        alone = branch.view(robot.robot_, weighted, ())
+        alone = branch.view(robot.robot_, weighted)
         np.testing.assert_array_equal(alone.index, view.index)
         np.testing.assert_allclose(alone.target, view.target[branch.joints])
         np.testing.assert_array_equal(alone.precision, view.precision[branch.joints])

@@ -49,7 +49,7 @@ def refits(fit, left_out, members, block_fold=None, studentised=False, counted=1
     A = np.concatenate(columns, axis=2)
     root = np.sqrt(left_out.weight)[:, None]
     penalty = np.diag(np.sqrt(np.concatenate(precision)))
-    zero = 1e5 * view.one_sided[fit.problem.held]
+    zero = 1e5 * view.one_sided[fit.problem.at_zero]
     zero = np.pad(zero, ((0, 0), (0, len(penalty) - zero.shape[1])))
     penalty = np.vstack([penalty, zero])
     squares = np.zeros((view.blocks.n_blocks, view.nv))
@@ -110,7 +110,7 @@ def test_held_out_residuals_are_studentised(fitted):
 def test_friction_fixed_at_zero_is_fixed_in_each_fold():
     fit = fit_three()
     free = HeldOutFit(HeldOut(fit.problem.view), fit).squares
-    fit = fit.with_held([[True], [False]])
+    fit = fit.with_zeros([[True], [False]])
     cv = HeldOutFit(HeldOut(fit.problem.view), fit)
     assert_allclose(cv.squares, refits(fit, cv, [0, 1, 2]), rtol=1e-3)
     assert cv.squares[:, 0].sum() > 2.0 * free[:, 0].sum()

@@ -12,8 +12,8 @@ from scipy.signal import lfilter
 from sklearn_vbjfa.diagnosis import SearchSettings
 from sklearn_vbjfa.diagnosis.search._cosines import Spectrum
 from sklearn_vbjfa.diagnosis.search._problem import (
-    Base,
     Columns,
+    DeclaredFit,
     Fit,
     Problem,
     SelectedEffect,
@@ -38,7 +38,7 @@ class Synthetic(Problem):
         self.edges = bands = np.arange(N + 1)
         self.Z, self.y, self.used_joints = Z, y, heard
         self.view = SimpleNamespace(one_sided=np.zeros((NV, 1, R)))
-        self.held, self.joint_columns = np.zeros((NV, 1), dtype=bool), _joint_columns
+        self.at_zero, self.joint_columns = np.zeros((NV, 1), dtype=bool), _joint_columns
         self.cosines = SimpleNamespace(
             fill=np.ones(NV), band=bands[:-1], edges=bands, octave=bands[:-1]
         )
@@ -75,7 +75,7 @@ MEMBERS = (
 
 def of(members, seed=0, loud=1.0):
     made, weights = problem(seed, loud)
-    return Fit(Base(made, weights, SPECTRUM), members)
+    return Fit(DeclaredFit(made, weights, SPECTRUM), members)
 
 
 def dense(fit):
@@ -181,7 +181,8 @@ def test_log_evidence_includes_the_prior_of_the_spectrum():
     assert expected < -0.01
     equations, weights = problem()
     logs = [
-        Fit(Base(equations, weights, s)).log_evidence() for s in (spectrum, SPECTRUM)
+        Fit(DeclaredFit(equations, weights, s)).log_evidence()
+        for s in (spectrum, SPECTRUM)
     ]
     assert logs[0] - logs[1] == pytest.approx(expected - SPECTRUM.log_prior)
 
@@ -189,7 +190,7 @@ def test_log_evidence_includes_the_prior_of_the_spectrum():
 def test_the_ridge_is_negligible_for_badly_scaled_columns():
     """Columns of very different scale must not be regularised by the ridge."""
     equations, weights = problem(loud=1e6)
-    fit = Fit(Base(equations, weights))
+    fit = Fit(DeclaredFit(equations, weights))
     A, b, *_ = dense(fit)
     size = np.sqrt((A**2).sum(axis=0))
     exact = np.linalg.lstsq(A / size, b, rcond=None)[0] / size
@@ -231,7 +232,7 @@ def test_removing_a_correction_restores_the_equations():
     made, weights = problem()
     columns = MEMBERS[2].columns.values[:, :, 0, 0]
     made = Synthetic(made.Z, made.y + 0.3 * columns, made.used_joints)
-    expected = Fit(Base(made, weights, SPECTRUM), MEMBERS[:2])
+    expected = Fit(DeclaredFit(made, weights, SPECTRUM), MEMBERS[:2])
     without = fit.without(2)
     assert_allclose(without.theta, expected.theta, rtol=1e-8)
     assert_allclose(without.residual, expected.residual, atol=1e-8)
@@ -418,7 +419,7 @@ def coloured(share):
     variance = np.full((NV, N), np.inf)
     variance[:2] = np.geomspace(50.0, 0.02, N) * np.array([[1.0], [3.0]])
     spectrum = Spectrum(variance=variance, log_prior=0.0)
-    base = Base(made, spectrum.weights(made.cosines, share), spectrum, share)
+    base = DeclaredFit(made, spectrum.weights(made.cosines, share), spectrum, share)
     return base, np.where(np.isfinite(variance), variance, 0.0)
 
 
@@ -440,7 +441,7 @@ def test_chance_limit_bounds_the_change_of_the_estimate():
     base, variance = coloured(1.0)
     made, rng = base.problem, np.random.default_rng(4)
     mean = variance.mean(axis=1, keepdims=True)
-    plain = Base(made, np.where(variance > 0, 1.0 / np.maximum(mean, 1e-9), 0.0))
+    plain = DeclaredFit(made, np.where(variance > 0, 1.0 / np.maximum(mean, 1e-9), 0.0))
     noise = np.sqrt(variance) * rng.normal(size=(2000, NV, N))
     made = [made.changed(y=y) for y in noise]
     thetas = np.array([[Fit(b.on(y)).theta for b in (plain, base)] for y in made])

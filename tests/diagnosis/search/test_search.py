@@ -8,7 +8,7 @@ import pytest
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.diagnosis import SearchSettings
-from sklearn_vbjfa.diagnosis.search import _path
+from sklearn_vbjfa.diagnosis.search import _stepwise
 from tests.diagnosis._recordings import record
 from tests.diagnosis.search._searches import (
     CLEAN,
@@ -207,7 +207,7 @@ def test_diagnosis_code_contains_no_effect_names():
     # These four words also have other meanings in the package (reasons, channel
     # findings, contradictions between recordings).
     names = set(effects.available()) - {"signal", "delay", "offset", "payload"}
-    for path in Path(_path.__file__).parents[1].rglob("*.py"):
+    for path in Path(_stepwise.__file__).parents[1].rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         texts = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)}
         assert not texts & names, path.name

@@ -45,14 +45,14 @@ _TIE = 0.5
 _SIMILAR = 0.9
 
 
-class Path:
+class StepwiseSearch:
     """Search for the most probable set of effects, at most `max_effects`."""
 
     # library: effects to try on every joint.
 
     def __init__(self, view, library, settings, max_effects=None):
         self.view, self.library, self.settings = view, library, settings
-        self.max_effects, self.round, self._held = max_effects, 0, None
+        self.max_effects, self.round, self._held_out = max_effects, 0, None
 
     # -- search -----------------------------------------------------------------------
 
@@ -68,7 +68,7 @@ class Path:
         for self.round in range(_ROUNDS):
             say(f"round {self.round + 1}")
             self.candidates = Candidates(fit.problem, self.library, self.settings)
-            base = self._spectrum(fit.with_held(False))
+            base = self._spectrum(fit.with_zeros(False))
             fit = self._climb(self.scaled(Fit(base, fit.members)))
             keys = effect_keys(fit)
             if keys == previous or not fit.members:
@@ -117,10 +117,10 @@ class Path:
         """Add, drop, refine and exchange until nothing is more probable."""
         visited, refined = {effect_keys(fit)}, frozenset()
         # `context_key` of members for which no exchange is more probable.
-        self._compared, held = set(), set()
+        self._compared, patterns = set(), set()
         while True:
-            # Many candidates would compensate for friction that is held at zero.
-            new = None if held else self._forward_step(fit, visited)
+            # Many candidates would compensate for friction that is fixed at zero.
+            new = None if patterns else self._forward_step(fit, visited)
             if new is None and fit.members and effect_keys(fit) != refined:
                 # Shapes were fitted without later members of the same joints.
                 joints = {joint for _, joint, _ in effect_keys(fit) ^ refined}
@@ -134,13 +134,13 @@ class Path:
                 if new is fit:
                     return fit
                 new = self._pruned(self.scaled(new))
-                pattern = new.problem.held.tobytes(), effect_keys(new)
-                if pattern in held:
+                pattern = new.problem.at_zero.tobytes(), effect_keys(new)
+                if pattern in patterns:
                     return fit
-                if not held:
+                if not patterns:
                     # Earlier models had other friction terms.
                     visited, self._compared = set(), set()
-                held.add(pattern)
+                patterns.add(pattern)
             fit = new
             visited.add(effect_keys(fit))
 
@@ -170,10 +170,10 @@ class Path:
         deferred = [self.candidates.is_deferred(fit, c) for c in best]
         if not all(deferred):
             best = [c for c, is_deferred in zip(best, deferred) if not is_deferred]
-        best.sort(key=lambda c: -c.order)
+        best.sort(key=lambda c: -c.usual_odds)
         first = best[0]
         # Much less probable candidates may only compensate for the first one.
-        best = [c for c in best if c.order > _ODDS_SHARE * first.order]
+        best = [c for c in best if c.usual_odds > _ODDS_SHARE * first.usual_odds]
         if isinstance(first.effect, InModel):
             return [self._simplest_geometry(fit, first)]
         if isinstance(first.effect, OnAllJoints):
@@ -187,7 +187,8 @@ class Path:
         similar = [
             c
             for c in self.candidates.probable()
-            if isinstance(c.effect, InModel) and c.order > _SIMILAR * first.order
+            if isinstance(c.effect, InModel)
+            and c.usual_odds > _SIMILAR * first.usual_odds
         ]
         if len(similar) == 1:
             return first
@@ -364,23 +365,24 @@ class Path:
 
     # -- evaluation -------------------------------------------------------------------
 
-    def member_odds(self, fit, cache):
+    def refitted_odds(self, fit, cache):
         """Compute log odds of members, refitting the spectrum without each of them."""
         # Slow effects compete with coloured noise. cache: log odds by `context_key`.
         fit, scale = spectrum_of(fit, self.settings), self.settings.scale
         total, share, log_odds = fit.log_evidence(), fit.base.share, []
         rows = zip(fit.members, fit.member_groups, fit.overdispersions(fit))
-        for i, (member, groups, excess) in enumerate(rows):
+        for i, (member, groups, overdispersion) in enumerate(rows):
             key = context_key(fit, i)
             if key in cache:
                 log_odds.append(cache[key])
                 continue
             rounds = 3 if member.effect.slow else 1
             reduced = spectral_fit(fit.without(i), self.settings, share, rounds)
-            gain = float(groups.integrated(scale, member.scale)[0])
+            gain = total + float(groups.integrated(scale, member.scale)[0])
+            gain -= reduced.log_evidence()
             evidence = min(
-                float(groups.discounted(excess).evidence(scale)[0]),
-                excess.discounted(total + gain - reduced.log_evidence(), member.width),
+                float(groups.discounted(overdispersion).evidence(scale)[0]),
+                overdispersion.discounted(gain, member.width),
             )
             prior = self.candidates.log_prior - np.log(self.candidates.shapes(member))
             log_odds.append(evidence + prior)
@@ -390,9 +392,9 @@ class Path:
     def validate(self, fit):
         """Cross-validate a fit, `HeldOutFit`."""
         view = fit.problem.view
-        if self._held is None or self._held.view is not view:
-            self._held = HeldOut(view)
-        return HeldOutFit(self._held, fit)
+        if self._held_out is None or self._held_out.view is not view:
+            self._held_out = HeldOut(view)
+        return HeldOutFit(self._held_out, fit)
 
     def above_motion(self, fit, effect):
         """Check whether a channel filter's corner is above the motion's frequencies."""
@@ -464,12 +466,12 @@ def tune_shapes(view, effects, settings):
     """Refit the shapes of effects to another recording, tuple of Effect."""
     if not effects:
         return ()
-    path = Path(view.with_rest(slip_joints(effects)), (), settings)
+    stepwise = StepwiseSearch(view.with_rest(slip_joints(effects)), (), settings)
     # One weight per joint, as in the fit of the robot.
-    fit, previous = path.fit_effects(effects), -np.inf
+    fit, previous = stepwise.fit_effects(effects), -np.inf
     best, most, stalled = fit, -np.inf, 0
     while stalled < _PATIENCE:
-        fit = with_joint_weights(relinearise(path.refined(fit)))
+        fit = with_joint_weights(relinearise(stepwise.refined(fit)))
         evidence, stalled = fit.log_evidence(), stalled + 1
         if evidence > most + _CONVERGED:
             best, most, stalled = fit, evidence, 0

@@ -47,60 +47,52 @@ __all__ = [
     "replicate_noise",
 ]
 
-# Where each name is. It is imported when it is first asked for: a program is at work at
-# once, and can be stopped while the rest is loaded.
+# Modules of the public names, which are imported at their first use: importing all of
+# them takes seconds.
 _MODULES = {
-    "diagnosis._discovery": ("EffectDiscovery",),
-    "model._loading": ("load_model",),
-    "physical": ("PhysicalProjector",),
-    "regression._instrumental_variables": ("InstrumentalVariables",),
-    "regression._joint_factor": ("JFARegressor",),
-    "regression._locally_weighted": ("LocallyWeightedRegressor",),
-    "regression._stepwise": ("StepwiseRegressor",),
-    "regression": ("NoiseCovariance", "TotalLeastSquares", "replicate_noise"),
-    "regression._vbjfa": ("VBJFARegressor",),
-    "equations._features": ("RigidBodyFeatures",),
-    "robot._robot": ("IdentifiedRobot", "load_identified"),
-    "fit._identifier": ("RobotIdentifier",),
-    "fit._joint_torque": ("JointTorqueRegressor",),
-    "robot._simulator_ranges": ("Ranges",),
-    "equations._states": ("StateEstimator",),
+    "diagnosis._discovery": "EffectDiscovery",
+    "model._loading": "load_model",
+    "physical": "PhysicalProjector",
+    "regression._instrumental_variables": "InstrumentalVariables",
+    "regression._joint_factor": "JFARegressor",
+    "regression._locally_weighted": "LocallyWeightedRegressor",
+    "regression._stepwise": "StepwiseRegressor",
+    "regression": "NoiseCovariance TotalLeastSquares replicate_noise",
+    "regression._vbjfa": "VBJFARegressor",
+    "equations._features": "RigidBodyFeatures",
+    "robot._robot": "IdentifiedRobot load_identified",
+    "fit._identifier": "RobotIdentifier",
+    "fit._joint_torque": "JointTorqueRegressor",
+    "robot._simulator_ranges": "Ranges",
+    "equations._states": "StateEstimator",
 }
-_ROOMS = (
-    "datasets",
-    "design",
-    "diagnosis",
-    "distributed",
-    "effects",
-    "gravity",
-    "inspection",
-    "model",
-    "physical",
-    "recording",
-    "regression",
-    "robot",
-    "simulation",
-)
+_SUBPACKAGES = """
+    datasets design diagnosis distributed effects gravity inspection model physical
+    recording regression robot simulation
+"""
 
 
-def _lazily(package, modules, rooms=()):
-    """Return `__getattr__` and `__dir__` that import names when they are asked for."""
-    # modules: names that a module below the package has, by the module, beside the
-    # package if it begins with a dot; rooms: modules that are names themselves. The
-    # faces of rooms are made of it as well.
-    where = {name: module for module, names in modules.items() for name in names}
-    known = vars(sys.modules[package])
+def _lazily(package, modules, subpackages=""):
+    """Return `__getattr__` and `__dir__` that import names at their first use."""
+    # modules: the names that each module of the package defines; its path is relative
+    # to the package, with a dot to its parent.
+    where = {
+        name: module
+        for module, names in modules.items()
+        for name in (names.split() if isinstance(names, str) else names)
+    }
+    known, subpackages = vars(sys.modules[package]), subpackages.split()
 
     def get(name):
         if name in where:
             module = importlib.import_module(f".{where[name]}", package)
             found = known[name] = getattr(module, name)
             return found
-        if name in rooms:
+        if name in subpackages:
             return importlib.import_module(f".{name}", package)
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
-    return get, lambda: sorted({*known, *where, *rooms})
+    return get, lambda: sorted({*known, *where, *subpackages})
 
 
-__getattr__, __dir__ = _lazily(__name__, _MODULES, _ROOMS)
+__getattr__, __dir__ = _lazily(__name__, _MODULES, _SUBPACKAGES)

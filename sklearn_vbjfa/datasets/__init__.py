@@ -50,25 +50,15 @@ __all__ = [
 # Names are imported lazily: the demonstration does not need the other loaders. Names
 # that are not in __all__ are for tests and benchmarks.
 _MODULES = {
-    ".inspection": ("inspect_recording",),
-    ".recording._reader": ("read_recording",),
-    ".recording._recording": ("Recording",),
-    "_measured": (
-        *(x for x in __all__ if x.startswith("fetch_")),
-        "SETS",
-        "remote_files",
-    ),
-    "_noisy_regression": ("make_noisy_regression",),
-    "_simulated": (
-        "SimulatedRecording",
-        "demo_arm_urdf",
-        "joint_range",
-        "load_demo_recording",
-        "make_robot_recording",
-        "recording_fields",
-        "rigid_torques",
-        "speed_limit",
-        "true_inertias",
-    ),
+    ".inspection": "inspect_recording",
+    ".recording._reader": "read_recording",
+    ".recording._recording": "Recording",
+    "_measured": ["SETS", "remote_files"]
+    + [name for name in __all__ if name.startswith("fetch_")],
+    "_noisy_regression": "make_noisy_regression",
+    "_simulated": """
+        SimulatedRecording demo_arm_urdf joint_range load_demo_recording
+        make_robot_recording recording_fields rigid_torques speed_limit true_inertias
+    """,
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 __all__ = ["DesignedMotion", "MotionLimits", "design_motion"]
 # The others are what tests hold against mathematics.
 _MODULES = {
-    "_design": ("best_drawn", "design_motion", "pose", "read_report"),
-    "_motion": ("DesignedMotion", "FourierCurve", "MotionLimits"),
-    "_collisions": ("Clearance",),
-    "_optimise": ("Lagrangian", "Questions", "worth"),
-    "_robot": ("KnownRobot",),
+    "_design": "best_drawn design_motion pose read_report",
+    "_motion": "DesignedMotion FourierCurve MotionLimits",
+    "_collisions": "Clearance",
+    "_optimise": "Lagrangian Questions worth",
+    "_robot": "KnownRobot",
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

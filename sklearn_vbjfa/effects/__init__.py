@@ -23,8 +23,8 @@ _MODULES = {
     "_channels": "Delay Jerk OfChannel TorqueFilter low_pass smooth",
     "_drive": "Coupling CouplingSpring Elastic ToAnother",
     "_friction": """
-        AsymmetricFriction Coulomb GearLoss LoadFriction Offset RotorInertia
-        Stribeck Viscous ViscousQuadratic
+        AsymmetricFriction Coulomb GearLoss LoadFriction Offset RotorInertia Stribeck
+        Viscous ViscousQuadratic
     """,
     "_in_model": """
         BaseTilt CommandDelay InModel JointAxis JointZero TorqueGain TorqueLag
@@ -53,6 +53,4 @@ __all__ = [
     "Viscous",
     "available",
 ]
-__getattr__, __dir__ = _lazily(
-    __name__, {name: tuple(names.split()) for name, names in _MODULES.items()}
-)
+__getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 
 __all__ = ["CurrentDrive", "FitOptions", "PDDrive", "VoltageDrive"]
 
-# What is not in __all__ is for other rooms and for tests.
+# Names that are not in __all__ are for other subpackages and tests.
 _MODULES = {
-    ".fit": ("FitOptions",),
-    ".recording": ("CurrentDrive", "PDDrive", "VoltageDrive"),
-    "_channels": ("ChannelGains", "CommonGain"),
-    "_corrections": ("Correction", "corrections_of"),
-    "_exports": ("TERMS", "changed_motion", "to_mjcf", "typical_motion"),
-    "_posterior": ("BetweenRecordings", "Marginal", "Posterior", "note_of_masses"),
-    "_simulator_ranges": ("ParameterRange", "Ranges"),
-    "_windows": ("clearly_smaller", "follow_windows"),
+    ".fit": "FitOptions",
+    ".recording": "CurrentDrive PDDrive VoltageDrive",
+    "_channels": "ChannelGains CommonGain",
+    "_corrections": "Correction corrections_of",
+    "_exports": "TERMS changed_motion to_mjcf typical_motion",
+    "_posterior": "BetweenRecordings Marginal Posterior note_of_masses",
+    "_simulator_ranges": "ParameterRange Ranges",
+    "_windows": "clearly_smaller follow_windows",
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -92,7 +92,7 @@ def test_public_names_are_found():
     for name in sklearn_vbjfa.__all__:
         assert getattr(sklearn_vbjfa, name).__name__ == name
         assert name in dir(sklearn_vbjfa)
-    for module in sklearn_vbjfa._ROOMS:
+    for module in sklearn_vbjfa._SUBPACKAGES.split():
         assert getattr(sklearn_vbjfa, module).__name__ == f"sklearn_vbjfa.{module}"
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         sklearn_vbjfa.nothing  # noqa: B018

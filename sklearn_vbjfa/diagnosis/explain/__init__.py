@@ -9,8 +9,8 @@ _MODULES = {
     "_errors": "NEXT_SECONDS error_intervals held_out_errors",
     "_final": "EffectEstimate FinalFit",
     "_gaps": """
-        ABOVE_FLOOR Dependence NO_INFORMATION NotIdentifiable Unexplained WELL
-        WORSE dependences is_refuted motion_signals rises
+        ABOVE_FLOOR Dependence NO_INFORMATION NotIdentifiable Unexplained WELL WORSE
+        dependences is_refuted motion_signals rises
     """,
     "_next": "ExpectedError MotionStatistics motion_statistics",
     "_outcome": "Fact JointErrors Outcome make_outcome parameter_values",
@@ -19,6 +19,4 @@ _MODULES = {
     "_unnamed": "supported_terms unnamed_torques",
 }
 __all__ = []
-__getattr__, __dir__ = _lazily(
-    __name__, {name: tuple(names.split()) for name, names in _MODULES.items()}
-)
+__getattr__, __dir__ = _lazily(__name__, _MODULES)

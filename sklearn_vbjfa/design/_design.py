@@ -31,7 +31,7 @@ from sklearn_vbjfa.design._optimise import (
 )
 from sklearn_vbjfa.design._robot import IN_SPAN, EquationModel, KnownRobot
 from sklearn_vbjfa.effects import resolve
-from sklearn_vbjfa.equations._plan import STANDSTILL_SHARE
+from sklearn_vbjfa.equations._motion_facts import STANDSTILL_SHARE
 from sklearn_vbjfa.recording import check_dt
 
 # Range of the number of harmonics.

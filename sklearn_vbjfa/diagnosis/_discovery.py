@@ -30,7 +30,8 @@ from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings, search
 from sklearn_vbjfa.diagnosis.search._stepwise import slip_joints, tune_shapes
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
 from sklearn_vbjfa.effects import Sudden, TorqueGain, declarable, resolve
-from sklearn_vbjfa.equations._plan import check_effects, check_weight
+from sklearn_vbjfa.equations._checks import check_weight
+from sklearn_vbjfa.equations._plan import check_effects
 from sklearn_vbjfa.equations._repetition import find_repetition
 from sklearn_vbjfa.fit._arguments import check_rows_suffice, checked_arrays
 from sklearn_vbjfa.fit._gains import PAYLOAD

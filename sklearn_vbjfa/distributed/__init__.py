@@ -16,17 +16,15 @@ import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._runtime import counted, one_blas_thread, show_progress
+from sklearn_vbjfa.equations._checks import check_channels, check_length, check_widths
 from sklearn_vbjfa.equations._equations import accumulate, build_segments
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment, sum_moments
-from sklearn_vbjfa.equations._plan import (
+from sklearn_vbjfa.equations._motion_facts import (
     MotionFacts,
-    check_channels,
-    check_length,
-    check_widths,
-    make_plan,
     n_fastest,
     smooth_recording,
 )
+from sklearn_vbjfa.equations._plan import make_plan
 from sklearn_vbjfa.equations._states import choose_states
 from sklearn_vbjfa.fit._estimate import from_moments
 from sklearn_vbjfa.recording import check_dt, expand, read_recording, recordings_in

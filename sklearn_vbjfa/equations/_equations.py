@@ -23,7 +23,8 @@ from sklearn_vbjfa.equations._joint_moments import (
     joint_entries,
     sum_moments,
 )
-from sklearn_vbjfa.equations._plan import effect_indices, in_parallel
+from sklearn_vbjfa.equations._motion_facts import in_parallel
+from sklearn_vbjfa.equations._plan import effect_indices
 from sklearn_vbjfa.equations._ranges import SignalRanges, clipped_motions
 from sklearn_vbjfa.equations._repetition import find_repetition
 from sklearn_vbjfa.model import (

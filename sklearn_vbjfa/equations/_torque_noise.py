@@ -15,7 +15,7 @@ import scipy
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import elements
-from sklearn_vbjfa.equations._plan import in_parallel
+from sklearn_vbjfa.equations._motion_facts import in_parallel
 
 _ORDER = 5
 # The median of abs(x) of a normal variable in standard deviations; the log variance

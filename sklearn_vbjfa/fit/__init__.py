@@ -10,7 +10,8 @@ _MODULES = {
     "_identifier": "RobotIdentifier",
     "_joint_torque": "JointTorqueRegressor",
     "_output_error": "Normal Windows deviations propagate run_windows slopes",
-    "_pooling": "AlikeValue rotor_posterior",
+    "_rotor_prior": "rotor_posterior",
+    "_shared_drives": "AlikeValue",
     "_signs": "expected signed",
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

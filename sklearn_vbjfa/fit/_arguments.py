@@ -8,7 +8,7 @@ from numbers import Real
 import numpy as np
 from sklearn.utils.validation import validate_data
 
-from sklearn_vbjfa.equations._plan import check_weight, check_widths
+from sklearn_vbjfa.equations._checks import check_weight, check_widths
 from sklearn_vbjfa.equations._states import SAMPLES_FOR_NOISE
 from sklearn_vbjfa.inspection import at_rest, disorder
 from sklearn_vbjfa.model import DoubtWarning

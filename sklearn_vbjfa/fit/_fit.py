@@ -10,6 +10,7 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._runtime import say
 from sklearn_vbjfa.effects import CommandDelay, InModel, TorqueLag
+from sklearn_vbjfa.equations._checks import check_count
 from sklearn_vbjfa.equations._equations import (
     accumulate,
     build_segments,
@@ -20,12 +21,8 @@ from sklearn_vbjfa.equations._equations import (
     unexcited_entries,
 )
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment
-from sklearn_vbjfa.equations._plan import (
-    check_count,
-    effect_indices,
-    estimate_states,
-    needs_load,
-)
+from sklearn_vbjfa.equations._motion_facts import estimate_states
+from sklearn_vbjfa.equations._plan import effect_indices, needs_load
 from sklearn_vbjfa.equations._ranges import effect_ranges, sum_ranges
 from sklearn_vbjfa.equations._states import RecordingStates
 from sklearn_vbjfa.equations._torque_noise import common_waves, filtered_noise
@@ -49,7 +46,8 @@ from sklearn_vbjfa.fit._gains import (
     with_gains,
 )
 from sklearn_vbjfa.fit._output_error import refine
-from sklearn_vbjfa.fit._pooling import pool_joint_values, with_positive_rotors
+from sklearn_vbjfa.fit._rotor_prior import with_positive_rotors
+from sklearn_vbjfa.fit._shared_drives import pool_joint_values
 from sklearn_vbjfa.recording import Recording, check_delay, take_rows
 from sklearn_vbjfa.robot._channels import ChannelGains
 from sklearn_vbjfa.robot._posterior import body_indices, joint_mask, known_parameters

@@ -11,18 +11,17 @@ from sklearn.utils.validation import check_is_fitted, check_scalar
 
 from sklearn_vbjfa._core._runtime import one_blas_thread
 from sklearn_vbjfa.effects import CommandDelay, TorqueLag
-from sklearn_vbjfa.equations._equations import assign_blocks
-from sklearn_vbjfa.equations._features import RigidBodyFeatures, with_followers
-from sklearn_vbjfa.equations._plan import (
+from sklearn_vbjfa.equations._checks import (
     check_channels,
     check_drive,
-    check_effects,
     check_input_noise,
     check_length,
     check_speed,
-    estimate_states,
-    make_plan,
 )
+from sklearn_vbjfa.equations._equations import assign_blocks
+from sklearn_vbjfa.equations._features import RigidBodyFeatures, with_followers
+from sklearn_vbjfa.equations._motion_facts import estimate_states
+from sklearn_vbjfa.equations._plan import check_effects, make_plan
 from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.equations._torque_noise import filtered_white_noise
 from sklearn_vbjfa.fit._arguments import (
@@ -31,11 +30,12 @@ from sklearn_vbjfa.fit._arguments import (
     checked_recording,
     recording_of_arguments,
 )
+from sklearn_vbjfa.fit._between_recordings import between_recordings
 from sklearn_vbjfa.fit._bodies import described_bodies
 from sklearn_vbjfa.fit._estimate import size_of_bodies
 from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, suggests_lag
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
-from sklearn_vbjfa.fit._pooling import alike_joints, between_recordings
+from sklearn_vbjfa.fit._shared_drives import alike_joints
 from sklearn_vbjfa.fit._signs import with_signs
 from sklearn_vbjfa.inspection import common_lag, contradicted, inspect_as
 from sklearn_vbjfa.model import DoubtWarning

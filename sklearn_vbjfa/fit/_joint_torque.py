@@ -4,10 +4,10 @@ import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from sklearn_vbjfa.equations._checks import check_weight
 from sklearn_vbjfa.equations._equations import Equations
 from sklearn_vbjfa.equations._features import check_as_computed, parameter_names_of
 from sklearn_vbjfa.equations._joint_moments import piece_moments, sum_moments
-from sklearn_vbjfa.equations._plan import check_weight
 from sklearn_vbjfa.fit._estimate import estimate
 
 

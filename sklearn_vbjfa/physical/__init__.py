@@ -12,5 +12,5 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
 )
 from sklearn_vbjfa.physical._solver import ProjectionError
 
-# `PhysicalProjector` is public in `sklearn_vbjfa`; others are for subpackages and tests.
+# Public in `sklearn_vbjfa`: `PhysicalProjector`; others are for subpackages and tests.
 __all__ = ["Options", "ProjectionError", "is_consistent"]

@@ -9,6 +9,7 @@ import numpy as np
 from sklearn.utils.validation import check_array, check_scalar
 
 from sklearn_vbjfa.effects import CommandDelay, Rest
+from sklearn_vbjfa.equations._checks import check_length, check_weight, check_widths
 from sklearn_vbjfa.equations._equations import (
     build_segments,
     compare,
@@ -19,14 +20,7 @@ from sklearn_vbjfa.equations._equations import (
     regressor_rows,
 )
 from sklearn_vbjfa.equations._features import RigidBodyFeatures, body_torques
-from sklearn_vbjfa.equations._plan import (
-    Plan,
-    check_length,
-    check_weight,
-    check_widths,
-    needs_load,
-    parameter_names,
-)
+from sklearn_vbjfa.equations._plan import Plan, needs_load, parameter_names
 from sklearn_vbjfa.equations._ranges import EffectRange, outside
 from sklearn_vbjfa.equations._states import RecordingStates, fit_states, limit_cutoffs
 from sklearn_vbjfa.equations._torque_noise import ROWS, noise_facts, stopband_exists

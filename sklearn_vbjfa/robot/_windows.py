@@ -9,7 +9,7 @@ from scipy import special
 from sklearn.utils import check_consistent_length
 
 from sklearn_vbjfa.effects import OfChannel
-from sklearn_vbjfa.equations._plan import check_widths
+from sklearn_vbjfa.equations._checks import check_widths
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import check_dt, torques_in_order
 from sklearn_vbjfa.recording._drives import velocity_lags

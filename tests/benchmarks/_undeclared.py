@@ -22,14 +22,7 @@ from _undeclared_robots import (
     nominal_robot,
     true_robot,
 )
-from _undeclared_scene import (
-    Setting,
-    apart,
-    describe,
-    lay_out,
-    place,
-    soft_scene,
-)
+from _undeclared_scene import Setting, apart, describe, lay_out, place, soft_scene
 
 # Viscous friction is declared, so it is not drawn.
 LIBRARY = (*(name for name in ADDED if name != "viscous"), "elastic", "delay")

@@ -9,13 +9,7 @@ other formulas than what makes them.
 from dataclasses import dataclass, field
 
 import numpy as np
-from _undeclared_hysteresis import (
-    first_order_lag,
-    lugre,
-    maxwell_slip,
-    pieces,
-    play,
-)
+from _undeclared_hysteresis import first_order_lag, lugre, maxwell_slip, pieces, play
 from _undeclared_robots import is_prismatic, own_inertia, regressor
 
 

@@ -6,11 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from _undeclared_effects import ADDED, CHANNELS, World, can_carry
 from _undeclared_hysteresis import first_order_lag, pieces, two_sided_average
-from _undeclared_robots import (
-    inverse_dynamics,
-    joint_inertia,
-    length_units,
-)
+from _undeclared_robots import inverse_dynamics, joint_inertia, length_units
 from _undeclared_span import DeclaredSpan, friction_shapes
 
 MAX_RESCALE = 4.0

@@ -21,11 +21,7 @@ import time
 import warnings
 
 import numpy as np
-from _paper_robots import (
-    draw_motion,
-    make_closed_loop_recording,
-    simulate_tracking,
-)
+from _paper_robots import draw_motion, make_closed_loop_recording, simulate_tracking
 from _report import ROOT, fixed, parser, publish, rst_table, rst_title
 from sklearn.linear_model import LassoCV, RidgeCV
 from sklearn.model_selection import KFold

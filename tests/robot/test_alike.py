@@ -6,7 +6,7 @@ import pytest
 from scipy import integrate
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.fit import DESCRIBED, SCALES, _pooling
+from sklearn_vbjfa.fit import DESCRIBED, SCALES, _shared_drives
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import inverse_dynamics, motion
 
@@ -76,7 +76,7 @@ def recording(model):
 
 def test_two_values_are_as_near_as_the_integral_over_their_scatter_has_them():
     y, S = np.array([1.2, 0.8]), np.diag([0.02, 0.03])
-    problem = _pooling._AlikeProblem(y, S, (np.arange(2),))
+    problem = _shared_drives._AlikeProblem(y, S, (np.arange(2),))
     mean, covariance = problem.solve(problem.sites())
     grid = np.geomspace(SCALES[0], SCALES[-1], 20001)
     # The difference over the square root of two is normal with the scatter.
@@ -166,7 +166,7 @@ def values(rng, n=4, noise=0.1, factor=1.0):
     y = rng.multivariate_normal(x, S)
     inverse = np.linalg.inv(S)
     unit = np.sqrt((inverse.sum(axis=0) @ y / inverse.sum()) ** 2 + 1 / inverse.sum())
-    problem = _pooling._AlikeProblem(y / unit, S / unit**2, (np.arange(n),))
+    problem = _shared_drives._AlikeProblem(y / unit, S / unit**2, (np.arange(n),))
     mean, covariance = problem.solve(problem.sites())
     std = unit * np.sqrt(np.diagonal(covariance))
     return x, y, unit * mean, std

@@ -9,7 +9,7 @@ from sklearn.linear_model import LinearRegression
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.equations import _equations
-from sklearn_vbjfa.equations._plan import resolve_standstill
+from sklearn_vbjfa.equations._motion_facts import resolve_standstill
 from sklearn_vbjfa.model import load_model, nominal_parameters
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import inverse_dynamics

@@ -10,7 +10,7 @@ from sklearn.linear_model import Ridge
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa import RobotIdentifier, load_identified
-from sklearn_vbjfa.fit._pooling import _RecordingEffects
+from sklearn_vbjfa.fit._between_recordings import _RecordingEffects
 from sklearn_vbjfa.physical import min_eigenvalue
 from sklearn_vbjfa.robot import BetweenRecordings, Marginal, Posterior
 from tests.model._mujoco import drive_torques, moving_states

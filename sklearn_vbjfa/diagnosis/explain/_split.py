@@ -7,7 +7,8 @@ import numpy as np
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._view import even_weight
 from sklearn_vbjfa.equations._equations import derivative
-from sklearn_vbjfa.equations._plan import estimate_states, resolve_cutoff
+from sklearn_vbjfa.equations._motion_facts import estimate_states
+from sklearn_vbjfa.equations._plan import resolve_cutoff
 from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.recording import take_rows
 

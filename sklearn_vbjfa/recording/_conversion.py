@@ -86,7 +86,7 @@ def _suggestion(table, options, near):
     # near: nearest patterns by kind. If several combinations work, none is suggested.
     suggestions = []
     for patterns in itertools.islice(itertools.product(*near.values()), _MAX_TRIALS):
-        mapping = options.mapping | dict(zip(near, patterns))
+        mapping = options.columns | dict(zip(near, patterns))
         columns = ",".join(f"{key}={x}" for key, x in mapping.items())
         suggestions.append(_try_columns(table, options, columns))
     suggestions = [x for x in suggestions if x]
@@ -96,7 +96,7 @@ def _suggestion(table, options, near):
 def _try_columns(table, options, columns, **more):
     """Return a column mapping and further options that read a table, or {}."""
     try:
-        rows = read_rows(table, replace(options, mapping=columns, preset=None, **more))
+        rows = read_rows(table, replace(options, columns=columns, preset=None, **more))
     except ValueError as error:
         suggested = getattr(error, "options", {})
         unit = not more and {*suggested} == {"time_unit"}
@@ -169,20 +169,19 @@ def is_recording(table, options):
     return not missing or _refusal(table, layout, options, robot, missing).options != {}
 
 
-def _sort_roles(table, layout, options, robot, notes):
+def _sort_roles(table, layout, used, options, robot, notes):
     """Return the roles of each kind in the order of joints, and the joint names."""
-    # Columns of joints that the robot does not have are ignored.
-    names, by_key = robot.names or layout.joints, {}
-    for role in layout.select(*options.kinds):
-        if isinstance(role.key, int) or role.key in names:
-            other = by_key.setdefault(role.kind, {}).setdefault(role.key, role)
-            refuse_ambiguous(table, other.column, role.column)
+    # used: the layout without joints that are left out.
+    names, by_key = robot.names or used.joints, {}
+    for role in used.select(*options.kinds):
+        other = by_key.setdefault(role.kind, {}).setdefault(role.key, role)
+        refuse_ambiguous(table, other.column, role.column)
     missing = [kind for kind in options.kinds[:2] if kind not in by_key]
     missing += [] if options.dt or layout.select("t") else ["t"]
     if missing:
         raise _refusal(table, layout, options, robot, missing)
     recorded = {x for roles in by_key.values() for x in roles if isinstance(x, str)}
-    others = [x for x in layout.joints if recorded and x not in names]
+    others = [x for x in layout.joints if robot.names and x not in names]
     if others:
         notes.append(
             f"joint(s) {listed(others)} are not joints of the robot and are left out."
@@ -228,22 +227,19 @@ def _sort_roles(table, layout, options, robot, notes):
     return ordered, names
 
 
-def _without_slow_joints(table, layout, options, robot, notes):
-    """Leave out named joints that few rows hold, such as those of a slow gripper."""
-    counts = {}
-    for role in layout.select(*options.kinds[:2]):
-        if isinstance(role.key, str) and role.key in (robot.names or layout.joints):
+def _used_joints(table, layout, options, robot, notes):
+    """Return the layout without other robots' joints, and those in few rows."""
+    names, counts = robot.names or layout.joints, {}
+    roles = [x for x in layout.roles if isinstance(x.key, int) or x.key in names]
+    for role in roles:
+        if isinstance(role.key, str) and role.kind in options.kinds[:2]:
             counts.setdefault(role.key, []).append(table.frame[role.column].count())
     most = max(map(max, counts.values()), default=0)
     slow = [key for key, n in counts.items() if min(n) < RATE_RATIO * most]
-    if not slow:
-        return table, layout
-    few = "have values in less than a fifth of the rows of others: left out."
-    notes.append(Loss(f"joint(s) {listed(slow)} {few}"))
-    kept = tuple(x for x in layout.roles if x.key not in slow)
-    unused = [x.column for x in layout.roles if x.key in slow]
-    table = replace(table, frame=table.frame.drop(columns=unused))
-    return table, replace(layout, roles=kept)
+    if slow:
+        few = "have values in less than a fifth of the rows of others: left out."
+        notes.append(Loss(f"joint(s) {listed(slow)} {few}"))
+    return replace(layout, roles=tuple(x for x in roles if x.key not in slow))
 
 
 def read_rows(table, options) -> FileRows:
@@ -260,15 +256,10 @@ def read_rows(table, options) -> FileRows:
             )
         options = replace(options, dt=options.dt or dt)
     layout = find_layout(table, options, robot)
-    table, layout = _without_slow_joints(table, layout, options, robot, notes)
-    # Messages of other joints, such as those of a gripper, do not count.
-    others = {x.key for x in layout.select(*options.kinds) if isinstance(x.key, str)}
-    others = others.difference(robot.names or others)
-    roles = tuple(x for x in layout.roles if x.key not in others)
-    used = replace(layout, roles=roles)
+    used = _used_joints(table, layout, options, robot, notes)
     table = merge_sources(table, used, notes)
     table, rows = remove_odd_rows(table, used, options, notes)
-    roles, names = _sort_roles(table, layout, options, robot, notes)
+    roles, names = _sort_roles(table, layout, used, options, robot, notes)
     channels, units = _convert_units(table, roles, options, notes)
     prismatic = _check_units(table, roles, units, names, robot)
     si_units = ["N" if slide else "N m" for slide in prismatic]
@@ -315,8 +306,7 @@ def read_rows(table, options) -> FileRows:
     return FileRows(
         path=table.path,
         name=table.name
-        or re.sub(r"(?<=.)\.[^.]*(\.(gz|bz2|xz))?$", "", table.path.name)
-        or table.path.name,
+        or re.sub(r"(?<=.)\.[^.]*(\.(gz|bz2|xz))?$", "", table.path.name),
         where=table.where,
         t=t,
         dt=options.dt,
@@ -456,7 +446,7 @@ def _describe_columns(table, layout, options, by_kind, time):
     for kind, roles in [*by_kind.items(), ("t", [] if time is None else [time])]:
         names = [role.column for role in roles]
         named = all(x.lower().replace("τ", "tau").startswith(kind) for x in names)
-        if not (options.mapping or named):
+        if not (options.columns or named):
             ends = [names[0], names[-1]] if len(names) > 1 else names
             parts.append(f"{kind} = {' ... '.join(ends)}")
     converted = {x.unit for x in units if channel_unit(table, x).factor != 1}

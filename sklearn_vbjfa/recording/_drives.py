@@ -194,10 +194,8 @@ class PDDrive(Drive):
 
         Each row acts from its time to the time of the next row, plus the delay.
         """
-        position, velocity, feedforward = (
-            self._channel(recording, name)
-            for name in ("q_desired", "v_desired", "tau_ff")
-        )
+        channels = (self._channel(recording, name) for name in COMMANDS[:3])
+        position, velocity, feedforward = channels
         if position is None:
             raise ValueError(
                 "PDDrive needs the channel 'q_desired' of each joint: give y=q_desired "
@@ -433,21 +431,20 @@ _KEYWORDS = {"none": None, "true": True, "yes": True, "false": False, "no": Fals
 
 def _parse(part, text):
     """Parse VALUE of NAME=VALUE: a number, a list, a dict by joint name, or a word."""
-    pairs = [x.rpartition(":")[::2] for x in text.split(",")]
-    joints, values = {joint for joint, _ in pairs}, [value for _, value in pairs]
+    joints, values = zip(*(x.rpartition(":")[::2] for x in text.split(",")))
     try:
         values = np.array(values, dtype=float).tolist()
     except ValueError:
-        if len(pairs) == 1 and joints == {""}:
+        if joints == ("",):
             # The drive validates the word.
             return text
         values = [np.nan]
-    by_joint = "" not in joints and len(joints) == len(pairs)
-    if not np.isfinite(values).all() or not (by_joint or joints == {""}):
+    by_joint = "" not in joints and len({*joints}) == len(joints)
+    if not np.isfinite(values).all() or not (by_joint or {*joints} == {""}):
         raise ValueError(
             f"drive has {part}; expected numbers, or JOINT:NUMBER with commas between "
             "them, each joint, or part of its name, once."
         )
     if by_joint:
-        return {joint: value for (joint, _), value in zip(pairs, values)}
+        return dict(zip(joints, values))
     return values if len(values) > 1 else values[0]

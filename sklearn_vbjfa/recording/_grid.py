@@ -106,7 +106,7 @@ def merge_sources(table, layout, notes):
     return replace(table, frame=frame)
 
 
-def _split(log, dt, starts=()):
+def _split(log, dt, starts):
     """Split a log at `starts` and resample each piece on multiples of dt."""
     # Times must increase within a piece; pieces with too few rows are dropped.
     bounds = [
@@ -283,9 +283,7 @@ def _resample_file(segments, dt):
         tolerance = max(SAME_DT * dt, 3 * np.std(stamps.steps) / rows.size)
         period = dt if abs(stamps.dt - dt) < tolerance else stamps.dt
         t = file.t[rows] if stamps.irregular == "sampled" else period * stamps.slots
-        channels = file.channels
-        if rows.size < file.t.size:
-            channels = {key: x[rows] for key, x in channels.items()}
+        channels = {key: x[rows] for key, x in file.channels.items()}
         resampled = _split(Log(name, t, channels), dt, stamps.gaps + 1)
         n_short += stamps.gaps.size + 1 - len(resampled)
         pieces += resampled

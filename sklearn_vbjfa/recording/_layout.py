@@ -51,7 +51,7 @@ class Robot:
 class ReadOptions:
     """Validated arguments of `read_recording`."""
 
-    mapping: Any  # a dict of patterns after validation
+    columns: Any  # a dict of patterns by channel after validation
     preset: str | None
     dt: float | None
     joint_names: Any
@@ -70,15 +70,15 @@ class ReadOptions:
                 raise ValueError(
                     f"{name} must be one of {', '.join(allowed)}; got {value!r}."
                 )
-        if self.preset is not None and self.mapping:
+        if self.preset is not None and self.columns:
             raise ValueError("give columns or a preset, not both: both map columns.")
         if self.drive is not None and self.gains is not None:
             raise ValueError(
                 "gains are factors of columns of torques, and a drive has its own: "
                 "leave gains out (command line: --gain), or the drive."
             )
-        is_empty = self.mapping in (None, {})
-        self.mapping = {} if is_empty else _parse_mapping(self.mapping)
+        is_empty = self.columns in (None, {})
+        self.columns = {} if is_empty else _parse_mapping(self.columns)
         self.joint_names = _unique_names(self.joint_names)
         self.gains = _check_gains(self.gains)
         if isinstance(self.drive, str):
@@ -276,10 +276,10 @@ def _assign_columns(table, options, robot):
     """Assign columns to channels by a mapping, by names or by a preset."""
     joints = *robot.names, *table.joints
     named = assign_by_name(table, joints, options.kinds, options.drive)
-    if options.mapping:
+    if options.columns:
         if options.drive is not None:
             named = _match_preset(table, options, robot, named) or named
-        return _apply_mapping(table, options.mapping, named)
+        return _apply_mapping(table, options.columns, named)
     if table.nameless:
         n = len(robot.names) or 6
         q, tau = (f"{k}-{k + n - 1}" if n > 1 else str(k) for k in (2, 2 + n))
@@ -293,7 +293,7 @@ def _assign_columns(table, options, robot):
         return named
     fitted = _match_preset(table, options, robot, named)
     if fitted is None and options.preset is not None:
-        expected = [f"{x.q} and {x.tau}" for x in PRESETS[options.preset]]
+        expected = [f"{x['q']} and {x['tau']}" for x in PRESETS[options.preset]]
         raise RecordingRefused(
             f"{table.path}: does not fit the preset {options.preset!r}, which expects "
             f"columns {' or '.join(expected)}; found {listed(table.frame)}."
@@ -436,34 +436,35 @@ def _match_preset(table: Table, options, robot, named):
 
 def _match_log(table, log, named, robot, recorded):
     """Assign columns as in a known log; return None if they do not match it."""
-    patterns = {"q": log.q, "tau": log.tau, "v": log.v, **log.commands}
-    patterns = {kind: patterns.get(kind) for kind in ("q", "v", *recorded)}
-    hits = {kind: match_pattern(x, table, kind) for kind, x in patterns.items() if x}
+    patterns = log | log.get("commands", {})
+    kinds = [kind for kind in ("q", "v", *recorded) if kind in patterns]
+    hits = {kind: match_pattern(patterns[kind], table, kind) for kind in kinds}
     first = recorded[0]
-    if log.motors and robot.names:
+    parts = log.get("motors", ())
+    if parts and robot.names:
         # Messages have entries for more motors than most robots use.
         n = len(robot.names)
         hits = {kind: [x for x in roles if x.key < n] for kind, roles in hits.items()}
     keys = {kind: {x.key for x in roles} for kind, roles in hits.items()}
     shared = keys["q"] & keys.get(first, set())
-    other_robot = "{joint}" in log.q and robot.names and not shared & set(robot.names)
-    if not shared or other_robot:
+    by_name = "{joint}" in log["q"] and robot.names
+    if not shared or (by_name and not shared & {*robot.names}):
         return None
-    motors = [[x for x in robot.names if part in x] for part in log.motors]
+    motors = [[x for x in robot.names if part in x] for part in parts]
     has_motors = len(motors) == len(robot.names) and all(len(x) == 1 for x in motors)
     names = [x for (x,) in motors] if has_motors and not robot.explicit else ()
     kept = [
         x for kind, x in hits.items() if kind in ("q", first) or shared <= keys[kind]
     ]
     roles = _with_joint_names([role for x in kept for role in x], names, hits)
-    if log.segment in table.frame:
-        roles.append(Role(kind="segment", column=log.segment))
-    times = [match_pattern(name, table, "t") for name in log.times]
+    if log.get("segment") in table.frame:
+        roles.append(Role(kind="segment", column=log["segment"]))
+    times = [match_pattern(name, table, "t") for name in log["times"]]
     times = [replace(x[0], unit=x[0].unit or "s") for x in times if len(x) == 1]
-    no_signals = re.compile("|".join(log.no_signals) or "$.")
     roles = *roles, *(times or named.select("t"))
+    no_signals = re.compile("|".join(log["no_signals"]))
     unused = frozenset(filter(no_signals.fullmatch, table.frame))
-    return Layout(roles=roles, no_signals=unused, what=log.what, certain=True)
+    return Layout(roles=roles, no_signals=unused, what=log["what"], certain=True)
 
 
 def refuse_ambiguous(table, first, other):

@@ -301,23 +301,19 @@ def read_recording(
         raise ValueError("path must name one file or more, got none.")
     notes: list[str] = []
     if join:
-        tables = (x for p in paths for x in _read_tables(p, options, notes))
-        files = [read_rows(join_tables([*tables], options.joints), options)]
+        tables = [x for p in paths for x in _read_tables(p, options, notes)]
+        files = [read_rows(join_tables(tables, options.joints), options)]
     else:
-        files = []
         try:
-            for p in counted(paths, "reading file", len(paths)):
-                files += _convert(p, _read_tables(p, options, notes), options, notes)
+            files = _read_files(paths, options, notes)
         except RecordingRefused as error:
-            # Options suggested for one file must be able to read the others, too.
-            offer = {"columns": options.mapping, **error.options}
-            offered = replace(options, mapping=offer.pop("columns"), **offer)
-            for p in paths if len(paths) > 1 and error.options else ():
+            if len(paths) > 1 and error.options:
+                # Options suggested for one file must be able to read the others, too.
                 try:
-                    _convert(p, _read_tables(p, offered, []), offered, [])
-                except ValueError as other:
+                    _read_files(paths, replace(options, **error.options), [])
+                except RecordingRefused as other:
                     # An error that no option corrects is reported first.
-                    if not getattr(other, "options", None):
+                    if not other.options:
                         raise
                     reason = f"{error.reason}; other files are not so: convert those"
                     raise RecordingRefused(f"{reason} that differ.") from other
@@ -372,15 +368,19 @@ def _read_tables(path, options, notes):
     return tables
 
 
-def _convert(path, tables, options, notes):
-    """Convert tables to one recording each, or to a single one if incomplete."""
-    complete = (x for x in tables if len(tables) > 1 and is_recording(x, options))
-    if len([*itertools.islice(complete, 2)]) < 2:
-        return [read_rows(join_tables(tables, options.joints), options)]
-    notes.append(
-        f"{path} is taken as a folder of {len(tables)} recordings, one a file."
-    )
-    return [read_rows(tables.pop(0), options) for _ in range(len(tables))]
+def _read_files(paths, options, notes):
+    """Return the rows of each recording; incomplete files of a folder are joined."""
+    files = []
+    for path in counted(paths, "reading file", len(paths)):
+        tables = _read_tables(path, options, notes)
+        complete = (x for x in tables if len(tables) > 1 and is_recording(x, options))
+        if len([*itertools.islice(complete, 2)]) < 2:
+            tables = [join_tables(tables, options.joints)]
+        else:
+            what = f"a folder of {len(tables)} recordings, one a file"
+            notes.append(f"{path} is taken as {what}.")
+        files += [read_rows(tables.pop(0), options) for _ in range(len(tables))]
+    return files
 
 
 def _read_settled(path, options):

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -286,9 +285,4 @@ def is_current(name):
     return "current" in kinds and "torque" not in kinds
 
 
-# Defaults of optional entries of presets, see ``names.toml``.
-_LOG_DEFAULTS = {"v": "", "commands": {}, "motors": [], "segment": ""}
-PRESETS = {
-    name: [SimpleNamespace(**_LOG_DEFAULTS | log) for log in logs]
-    for name, logs in _CONFIG["presets"].items()
-}
+PRESETS = _CONFIG["presets"]

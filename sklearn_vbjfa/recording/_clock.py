@@ -304,11 +304,10 @@ def remove_odd_rows(table, layout, options, notes):
     """
     q, tau = layout.select("q"), layout.select("tau") if options.drive is None else ()
     columns, n = [x.column for x in (*q, *tau, *layout.select("v", "a"))], len(q + tau)
-    values = [table.values(column) for column in columns]
-    all_rows = np.arange(len(table.frame))
-    if not values or any(x.dtype.kind not in "iuf" for x in values):
+    frame, all_rows = table.frame[columns], np.arange(len(table.frame))
+    if not columns or any(x.kind not in "iuf" for x in frame.dtypes):
         return table, all_rows
-    values = np.column_stack(values).astype(float)
+    values = frame.to_numpy(float, copy=True)
     fillers = [
         f"{filler:g} in column {column!r}"
         for column, x in zip(columns, values.T)

@@ -279,7 +279,8 @@ def read_rows(table, options) -> FileRows:
     # The torques of a drive are computed after all files have been read.
     channels.setdefault("tau", np.zeros(channels["q"].shape))
     if robot.in_model:
-        order = sorted(range(len(names)), key=lambda j: robot.in_model.index(names[j]))
+        in_model = [*robot.in_model]
+        order = sorted(range(len(names)), key=lambda j: in_model.index(names[j]))
         names, prismatic, torque_units = (
             [x[j] for j in order] for x in (names, prismatic, torque_units)
         )
@@ -410,7 +411,7 @@ def _check_units(table, roles, units, names, robot):
     for j, joint in enumerate(names):
         slides = units["q"][j] == "m"
         if robot.in_model:
-            slides = bool(robot.prismatic[robot.in_model.index(joint)])
+            slides = robot.in_model[joint]
         elif units["q"][j] is None:
             slides = "tau" in units and units["tau"][j] == "N"
         prismatic.append(slides)

@@ -4,7 +4,7 @@ import functools
 import re
 import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
 
@@ -43,8 +43,8 @@ class Robot:
 
     names: tuple[str, ...] = ()  # in the order of the columns
     explicit: bool = False  # True if the user or the file names the joints
-    in_model: tuple[str, ...] = ()  # joints of the URDF or MJCF, in its order
-    prismatic: tuple[bool, ...] = ()  # True for prismatic joints of the model
+    # joints of the URDF or MJCF in its order, True for prismatic ones
+    in_model: Mapping[str, bool] = field(default_factory=dict)
 
 
 @dataclass
@@ -107,12 +107,13 @@ class ReadOptions:
 
         load = models.load_reduced if names else models.load_model
         model = load(self.urdf, *[names] * bool(names))
-        in_model = models.joint_names(model)
+        slides = map(bool, models.is_prismatic(model))
+        in_model = dict(zip(models.joint_names(model), slides))
         # Numbered columns follow the order of joints in the description file, where a
         # child joint may precede its parent.
         file_names = tuple(name for name in self._movable if name in in_model)
-        known = {"in_model": in_model, "prismatic": models.is_prismatic(model)}
-        return Robot(names=names or file_names, explicit=bool(names), **known)
+        names, explicit = names or file_names, bool(names)
+        return Robot(names=names, explicit=explicit, in_model=in_model)
 
     @property
     def recorded(self):

@@ -440,9 +440,8 @@ def _combine(files, several, urdf, notes):
                 f"{file.path} {listed(other)}; expected files with the same joints and "
                 "channels: correct one of them, or process them separately."
             )
-    common = set.intersection(*(set(x.channels) for x in files))
     channels = dict.fromkeys(x for file in files for x in file.channels)
-    lost = [x for x in channels if x not in common]
+    lost = [x for x in channels if any(x not in file.channels for file in files)]
     for file, name in itertools.product(files, lost):
         file.channels.pop(name, None)
     # Recordings are named after their files, by complete paths if names are equal.

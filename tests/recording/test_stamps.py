@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.recording import read_recording
-from sklearn_vbjfa.recording._clock import inspect_time_stamps
 from tests.benchmarks._protocols import protocols
 from tests.recording._reading import read_text
 
@@ -24,54 +23,57 @@ def jittered(share, rng, n=N):
     return DT * (np.arange(n) + np.clip(share * rng.standard_normal(n), -0.45, 0.45))
 
 
-def save(path, t, q, tau, **arrays):
+def save(path, t, q, tau, dt=None, **arrays):
     np.savez(path, t=t, q=q, tau=tau, **arrays)
-    return read_text(path)
+    return read_text(path, dt=dt)
 
 
-def test_inspect_time_stamps():
-    dt, t = 0.01, 0.01 * np.arange(100)
-    steady = inspect_time_stamps(t)
-    assert steady.irregular == ""
-    np.testing.assert_array_equal(steady.slots, np.arange(100))
-    assert steady.gaps.size == 0
-    assert steady.dt == pytest.approx(dt)
-    incomplete = inspect_time_stamps(np.delete(t, [30, 60, *range(70, 80)]))
-    assert incomplete.slots[67] == 69
-    assert incomplete.dt == pytest.approx(dt)
-    np.testing.assert_array_equal(incomplete.gaps, [67])
-    assert incomplete.steps.max() == pytest.approx(2 * dt)
-    with pytest.raises(ValueError, match="time repeats 0 s in row 1"):
-        inspect_time_stamps([0.0, 0.0])
-    with pytest.raises(ValueError, match="two time stamps or more"):
-        inspect_time_stamps([0.0])
+@pytest.fixture
+def read_stamps(tmp_path):
+    """Read positions with time stamps and random torques."""
+    tau = np.random.default_rng(7).standard_normal((2 * N, 2))
+    return lambda t, q, dt=None: save(tmp_path / "a.npz", t, q, tau[: len(q)], dt)
+
+
+def test_regular_stamps_with_missing_rows_and_a_gap(read_stamps):
+    t = 0.01 * np.arange(100)
+    recording, notes = read_stamps(t, motion(t))
+    assert (recording.n_samples, recording.dt, notes) == (100, 0.01, "")
+    kept = np.delete(t, [30, 60, *range(70, 80)])
+    recording, notes = read_stamps(kept, motion(kept))
+    assert recording.dt == pytest.approx(0.01)
+    assert np.bincount(recording.groups).tolist() == [70, 20]
+    assert "the first after row 68: the recording is split there" in notes
+    assert "2 single sample(s) are missing" in notes
+    with pytest.raises(ValueError, match="time repeats 0 s in row 2"):
+        read_stamps(np.zeros(2), motion(t[:2]))
 
 
 @pytest.mark.parametrize("share", [0.05, 0.1, 0.2, 0.3, 0.4])
-def test_positions_distinguish_late_stamps_from_late_samples(share):
+def test_positions_distinguish_late_stamps_from_late_samples(share, read_stamps):
     rng = np.random.default_rng(0)
     t = jittered(share, rng)
     noise = NOISE * rng.standard_normal((N, 2))
-    written = inspect_time_stamps(t, positions=motion(DT * np.arange(N)) + noise)
-    assert written.irregular == "late"
-    np.testing.assert_array_equal(written.slots, np.arange(N))
+    q = motion(DT * np.arange(N)) + noise
+    written, notes = read_stamps(t, q)
+    assert "rows are taken as equidistant" in notes
+    np.testing.assert_array_equal(written.q, q)
     assert written.dt == pytest.approx(DT, rel=1e-3)
-    sampled = inspect_time_stamps(t, positions=motion(t) + noise)
-    assert sampled.irregular == "sampled"
+    sampled, notes = read_stamps(t, motion(t) + noise)
+    assert "the robot was sampled at these times" in notes
     assert sampled.dt == pytest.approx(DT, rel=0.01)
 
 
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.1])
 @pytest.mark.parametrize("jitter", [0.0, 0.02, 0.05])
-def test_lost_rows_are_counted(share, jitter):
+def test_lost_rows_are_counted(share, jitter, read_stamps):
     rng = np.random.default_rng(2)
     keep = np.flatnonzero(rng.random(N) >= share)
     keep = np.r_[0, keep[(keep > 0) & (keep < N - 1)], N - 1]
-    t = jittered(jitter, rng)[keep]
-    checked = inspect_time_stamps(t, positions=motion(DT * keep))
-    assert checked.gaps.size == 0
-    np.testing.assert_array_equal(checked.slots, keep)
-    assert checked.dt == pytest.approx(DT, rel=3e-5)
+    recording, _ = read_stamps(jittered(jitter, rng)[keep], motion(DT * keep))
+    assert recording.n_samples == N
+    np.testing.assert_allclose(recording.q[keep], motion(DT * keep), atol=1e-9)
+    assert recording.dt == pytest.approx(DT, rel=3e-5)
 
 
 def test_lost_rows_are_interpolated_and_others_unchanged(tmp_path):
@@ -126,29 +128,27 @@ def test_rows_with_repeated_stamps_are_skipped(tmp_path):
 
 
 @pytest.mark.parametrize("rows", [1.1, 1.6, 2.5])
-def test_rows_that_repeat_samples_of_a_slower_source_are_left_out(tmp_path, rows):
+def test_rows_that_repeat_samples_of_a_slower_source_are_left_out(read_stamps, rows):
     sample = np.floor(np.arange(N) / rows + 1e-9)
-    q, tau = motion(rows * DT * sample), np.sin(np.outer(np.arange(N), [1, 2]))
-    recording, notes = save(tmp_path / "a.npz", DT * np.arange(N), q, tau)
+    recording, notes = read_stamps(DT * np.arange(N), motion(rows * DT * sample))
     assert "row(s) repeat samples of a source with a period of" in notes
     assert recording.dt == pytest.approx(rows * DT, rel=1e-4)
     expected = motion(rows * DT * np.arange(len(recording.q)))
     np.testing.assert_array_less(np.abs(recording.q - expected), 1e-9)
 
 
-def test_random_time_steps_are_refused():
+def test_random_time_steps_are_refused(read_stamps):
     steps = DT * np.random.default_rng(1).lognormal(0, 1, N)
     with pytest.raises(ValueError, match=r"time steps by .* without a period"):
-        inspect_time_stamps(np.cumsum(steps), positions=motion(DT * np.arange(N)))
+        read_stamps(np.cumsum(steps), motion(DT * np.arange(N)))
 
 
-def test_clock_drift_loses_no_rows():
+def test_clock_drift_loses_no_rows(read_stamps):
     t = DT * np.arange(N)
-    drifting = t + 0.02 * t * (t / t[-1] - 1)
-    checked = inspect_time_stamps(drifting, positions=motion(t))
-    np.testing.assert_array_equal(checked.slots, np.arange(N))
-    assert checked.irregular != "sampled"
-    assert checked.dt == pytest.approx(DT, rel=1e-6)
+    recording, notes = read_stamps(t + 0.02 * t * (t / t[-1] - 1), motion(t))
+    np.testing.assert_array_equal(recording.q, motion(t))
+    assert "sampled at these times" not in notes
+    assert recording.dt == pytest.approx(DT, rel=1e-6)
 
 
 IRREGULAR = {
@@ -158,16 +158,16 @@ IRREGULAR = {
 
 
 @pytest.mark.parametrize("case", IRREGULAR)
-def test_stamps_without_a_regular_clock_are_refused(case):
+def test_stamps_without_a_regular_clock_are_refused(case, read_stamps):
     t = IRREGULAR[case](np.random.default_rng(0))
     with pytest.raises(ValueError, match=r"rows are missing, or the period changes"):
-        inspect_time_stamps(t, positions=motion(DT * np.arange(N)))
+        read_stamps(t, motion(DT * np.arange(N)))
 
 
 @pytest.mark.parametrize("dt", [4.0, 250.0])
-def test_period_in_another_unit_is_refused(dt):
+def test_period_in_another_unit_is_refused(dt, read_stamps):
     with pytest.raises(ValueError, match=r"0\.004 s but dt = .* not in ms or Hz"):
-        inspect_time_stamps(DT * np.arange(N), dt)
+        read_stamps(DT * np.arange(N), motion(DT * np.arange(N)), dt)
 
 
 def test_row_numbers_as_stamps_use_the_given_period(tmp_path):

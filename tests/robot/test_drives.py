@@ -12,7 +12,6 @@ from sklearn.linear_model import LinearRegression
 from sklearn_vbjfa import InstrumentalVariables, RobotIdentifier
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.recording import take_arrays
-from sklearn_vbjfa.recording._drives import velocities
 from sklearn_vbjfa.robot import FitOptions, PDDrive
 from tests.effects._arms import arm, inverse_dynamics
 from tests.model._mujoco import followed
@@ -142,7 +141,10 @@ def test_estimated_velocities_have_the_lag_of_recorded_ones():
     lagged = np.column_stack([states(t - x)[1][:, j] for j, x in enumerate(lag)])
     noise = 0.02 * np.random.default_rng(0).normal(size=v.shape)
     recording = take_arrays(q, 0.0 * q, dt=0.005, joint_names=NAMES)
-    estimate = velocities(replace(recording, v=lagged + noise))
+    signals = {"q_desired": q, "v_desired": v}
+    recording = replace(recording, v=lagged + noise, signals=signals)
+    driven = PDDrive(0.0, 1.0).driven(recording)
+    estimate = driven.command - driven.tau
     error = np.sqrt(((estimate - lagged)[50:-50] ** 2).mean(axis=0))
     unfiltered = np.sqrt(((v - lagged)[50:-50] ** 2).mean(axis=0))
     assert (error < 0.1 * unfiltered).all()

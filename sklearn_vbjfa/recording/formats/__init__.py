@@ -126,8 +126,7 @@ def recordings_in(path):
 
 
 def _is_recording(path):
-    markers = (*_MARKERS, *(f"*{ending}*" for ending in BAGS))
-    return path.is_dir() and any(next(path.glob(marker), None) for marker in markers)
+    return path.is_dir() and ((path / INFO).is_file() or bool(bag_files(path)))
 
 
 def _tables(path):

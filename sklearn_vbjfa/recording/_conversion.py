@@ -227,15 +227,15 @@ def _sort_roles(table, layout, used, options, robot, notes):
     return ordered, names
 
 
-def _used_joints(table, layout, options, robot, notes):
-    """Return the layout without other robots' joints, and those in few rows."""
+def _used_joints(table, layout, robot, notes):
+    """Return the layout without joints that the robot lacks or that few rows hold."""
     names, counts = robot.names or layout.joints, {}
     roles = [x for x in layout.roles if isinstance(x.key, int) or x.key in names]
     for role in roles:
-        if isinstance(role.key, str) and role.kind in options.kinds[:2]:
-            counts.setdefault(role.key, []).append(table.frame[role.column].count())
-    most = max(map(max, counts.values()), default=0)
-    slow = [key for key, n in counts.items() if min(n) < RATE_RATIO * most]
+        if isinstance(role.key, str):
+            n = table.frame[role.column].count()
+            counts[role.key] = max(n, counts.get(role.key, 0))
+    slow = [key for key, n in counts.items() if n < RATE_RATIO * max(counts.values())]
     if slow:
         few = "have values in less than a fifth of the rows of others: left out."
         notes.append(Loss(f"joint(s) {listed(slow)} {few}"))
@@ -256,7 +256,7 @@ def read_rows(table, options) -> FileRows:
             )
         options = replace(options, dt=options.dt or dt)
     layout = find_layout(table, options, robot)
-    used = _used_joints(table, layout, options, robot, notes)
+    used = _used_joints(table, layout, robot, notes)
     table = merge_sources(table, used, notes)
     table, rows = remove_odd_rows(table, used, options, notes)
     roles, names = _sort_roles(table, layout, used, options, robot, notes)

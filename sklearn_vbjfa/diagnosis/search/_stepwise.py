@@ -52,7 +52,7 @@ class StepwiseSearch:
 
     def __init__(self, view, library, settings, max_effects=None):
         self.view, self.library, self.settings = view, library, settings
-        self.max_effects, self.round, self._held_out = max_effects, 0, None
+        self.max_effects, self._held_out = max_effects, None
 
     # -- search -----------------------------------------------------------------------
 
@@ -65,11 +65,14 @@ class StepwiseSearch:
     def run(self):
         """Run the search and return the final `Fit`."""
         fit, previous = self.fit_declared(), None
-        for self.round in range(_ROUNDS):
-            say(f"round {self.round + 1}")
+        for k in range(_ROUNDS):
+            say(f"round {k + 1}")
             self.candidates = Candidates(fit.problem, self.library, self.settings)
-            base = self._spectrum(fit.with_zeros(False))
-            fit = self._climb(self.scaled(Fit(base, fit.members)))
+            fit = noise = spectrum_of(fit.with_zeros(False), self.settings)
+            if previous is None:
+                noise = self._with_many_effects(fit)
+            self.candidates.noise = noise
+            fit = self._climb(self.scaled(Fit(noise.base, fit.members)))
             keys = effect_keys(fit)
             if keys == previous or not fit.members:
                 break
@@ -87,14 +90,14 @@ class StepwiseSearch:
             visited.add(effect_keys(fit))
         return fit
 
-    def _spectrum(self, fit):
-        """Weight by the residual spectrum of a model with too many effects."""
-        fit, candidates = spectrum_of(fit, self.settings), self.candidates
+    def _with_many_effects(self, fit):
+        """Add too many effects, so that the residual is noise."""
+        candidates = self.candidates
         for _ in range(self.settings.most):
             # Unmodelled torque that repeats would resemble many effects.
             added, candidates.noise = [], fit if self.view.repetition else None
             for joint, columns in candidates.columns.items():
-                say(f"round {self.round + 1}, joint {joint + 1} of {self.view.nv}")
+                say(f"noise, joint {joint + 1} of {self.view.nv}")
                 # Prior of `expected` effects on each joint.
                 least = np.log(max(len(columns), 1) / self.settings.expected)
                 least += candidates.log_prior
@@ -109,9 +112,7 @@ class StepwiseSearch:
                 break
             share, fit = fit.base.share, Fit(fit.base, [*fit.members, *added])
             fit = spectral_fit(self.scaled(fit), self.settings, share, rounds=1)
-        fit = spectrum_of(fit, self.settings)
-        candidates.noise = fit
-        return fit.base
+        return spectrum_of(fit, self.settings)
 
     def _climb(self, fit):
         """Add, drop, refine and exchange until nothing is more probable."""

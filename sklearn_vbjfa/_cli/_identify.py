@@ -36,28 +36,13 @@ def identify(arguments, folder):
     if ranges:
         _input.check_file(ranges, "--ranges", arguments.force)
     settings = _input.settings(arguments)
-    recording, urdf, held = _input.load(arguments, folder)
-    files = tuple(dict.fromkeys(map(str, _input.paths(arguments))))
+    recording, urdf, locked = _input.load(arguments, folder)
     with _input.naming_input(arguments):
         loop = search(recording, str(urdf), effects=effects, **settings)
     robot = folder / "robot"
-    robot.mkdir()
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        incomplete = write_robot(loop.identifier_, robot)
-    for warning in caught:
-        warnings.warn(warning.message, stacklevel=2)
-    export = [str(x.message) for x in caught if issubclass(x.category, DoubtWarning)]
+    incomplete, export = _write_robot(loop.identifier_, robot)
     outcome = loop.report_.outcome
-    provenance = {
-        "export": tuple(export),
-        "file": files[0] if len(files) == 1 else files,
-        "description": str(_input.expand(arguments.urdf)),
-        "options": dict(arguments.typed),
-        "held": held,
-        "files": ("report.json", *(x for x in ROBOT_FILES if (robot / x).exists())),
-        "date": time.strftime("%Y-%m-%d"),
-    }
+    provenance = _provenance(arguments, robot) | {"export": export, "held": locked}
     if loop.report_.has_open_questions:
         words = ["--report", str(out), "--duration", str(SECONDS)]
         words += _limits(loop.identifier_, recording)
@@ -98,7 +83,7 @@ def identify(arguments, folder):
         return lines
 
     # With --joints the user excludes the other joints on purpose.
-    others = [] if arguments.joints else _input.other_joints(urdf, held)
+    others = [] if arguments.joints else _input.other_joints(urdf, locked)
     return Result(
         text="\n".join([str(recording), *others, str(printed)]),
         doubts=printed.warnings,
@@ -108,6 +93,30 @@ def identify(arguments, folder):
         write=write,
         page=True,
     )
+
+
+def _write_robot(robot, folder):
+    """Write the files of a robot; return incomplete ones, and warnings on them."""
+    folder.mkdir()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        incomplete = write_robot(robot, folder)
+    for warning in caught:
+        warnings.warn(warning.message, stacklevel=3)
+    doubts = (x.message for x in caught if issubclass(x.category, DoubtWarning))
+    return incomplete, tuple(map(str, doubts))
+
+
+def _provenance(arguments, robot):
+    """Return the files, the options and the date of an identification, a dict."""
+    files = tuple(dict.fromkeys(map(str, _input.paths(arguments))))
+    return {
+        "file": files[0] if len(files) == 1 else files,
+        "description": str(_input.expand(arguments.urdf)),
+        "options": dict(arguments.typed),
+        "files": ("report.json", *(x for x in ROBOT_FILES if (robot / x).exists())),
+        "date": time.strftime("%Y-%m-%d"),
+    }
 
 
 def _limits(robot, recording):

@@ -21,17 +21,17 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def load(arguments, folder, *, assumed=None):
-    """Return a recording, its robot description, and the joints that are held."""
+    """Return a recording, its robot description, and the joints locked at zero."""
     # folder: for derived descriptions; assumed: gains of the torque channels by
     # default.
-    urdf, held = robot(arguments, arguments.joints, folder)
+    urdf, locked = robot(arguments, arguments.joints, folder)
     gains = arguments.gain or (assumed if arguments.drive is None else None)
     recording = read(arguments, urdf, arguments.joints, gains)
     if set(recording.joint_names) != set(movable_joints(urdf)):
-        # Joints without columns are held.
+        # Joints without columns are locked.
         urdf, more = _reduced(urdf, recording.joint_names, folder)
-        held = (*held, *more)
-    return recording, urdf, held
+        locked = (*locked, *more)
+    return recording, urdf, locked
 
 
 def findings(arguments, recording, urdf, gains):
@@ -44,10 +44,10 @@ def findings(arguments, recording, urdf, gains):
     return inspect_as(recording, str(urdf), drive=drive, gains=gains)
 
 
-def other_joints(urdf, held):
-    """Return lines on joints that are held, and on joints that follow others."""
+def other_joints(urdf, locked):
+    """Return lines on joints that are locked, and on joints that follow others."""
     effect = "other positions bias the zeros, masses and effects of other joints"
-    lines = [f"held at zero: {', '.join(held)} ({effect})"] if held else []
+    lines = [f"held at zero: {', '.join(locked)} ({effect})"] if locked else []
     mimics = [body.name for body in load_folded(urdf).followers]
     if mimics:
         lines.append(f"follow other joints, without columns: {', '.join(mimics)}")

@@ -40,7 +40,7 @@ def list_datasets(arguments, folder):
 
 def inspect(arguments, folder):
     # Currents suffice, since nothing is identified.
-    recording, urdf, held = _input.load(arguments, folder, assumed="unknown")
+    recording, urdf, locked = _input.load(arguments, folder, assumed="unknown")
     findings = _input.findings(arguments, recording, urdf, arguments.gain)
     motions = motion_of(recording, str(urdf))
     faults = [f"{x.severity}: {with_options(x.message)}" for x in findings]
@@ -57,7 +57,7 @@ def inspect(arguments, folder):
         recording=recording,
         duration=f"{sum(lengths):.4g} s at {1 / recording.dt:.6g} Hz",
         parts=[f"{x} {s:.4g} s" for x, s in zip(names, lengths)] * (len(names) > 1),
-        others=_input.other_joints(urdf, held),
+        others=_input.other_joints(urdf, locked),
         motion=_columns(motions, recording.torque_units),
         too_short=_TOO_SHORT,
         faults=faults,
@@ -69,7 +69,7 @@ def inspect(arguments, folder):
         "dt": recording.dt,
         "joint_names": list(recording.joint_names),
         "recordings": list(map(str, names)),
-        "held": list(held),
+        "held": list(locked),
         "faults": faults,
         "identifiable": {joint.name: list(joint.shows) for joint in motions},
         "not_identifiable": {joint.name: list(joint.hides) for joint in motions},

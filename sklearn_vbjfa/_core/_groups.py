@@ -82,7 +82,7 @@ class Groups:
     # (c, k, k): Gram matrices after projecting out the model, in units of the noise
     H: np.ndarray
     q: np.ndarray  # (c, k): products of their columns with the residual
-    own: np.ndarray  # (c, k): squared norms of the columns before the projection
+    norms: np.ndarray  # (c, k): squared norms of the columns before the projection
     # (c, k): coefficients that scale each column to the torque of its joint
     unit: np.ndarray
     # degrees of freedom of the noise: Student's t in place of the normal
@@ -102,7 +102,7 @@ class Groups:
         """Return the moments of a likelihood discounted for overdispersion."""
         (value, rest, vectors), ratio = self._spectral, overdispersion.ratio
         spectral = value / ratio, rest / ratio, vectors
-        moments = {x: getattr(self, x) / ratio for x in ("H", "q", "own")}
+        moments = {x: getattr(self, x) / ratio for x in ("H", "q", "norms")}
         groups = replace(self, **moments, freedom=overdispersion.freedom)
         groups.__dict__["_spectral"] = spectral
         return groups
@@ -166,7 +166,7 @@ class Groups:
         H = self.H * self.unit[:, :, None] * self.unit[:, None]
         value, vectors = np.linalg.eigh(0.5 * (H + H.transpose(0, 2, 1)))
         rest = np.einsum("cab,ca->cb", vectors, self.q * self.unit)
-        seen = value > _SPAN * (self.own * self.unit**2).max(axis=1, keepdims=True)
+        seen = value > _SPAN * (self.norms * self.unit**2).max(axis=1, keepdims=True)
         return np.where(seen, value, 0.0), np.where(seen, rest, 0.0), vectors
 
     def shown(self):

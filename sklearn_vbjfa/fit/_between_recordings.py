@@ -152,7 +152,7 @@ class _RecordingEffects:
             H.append((inverse - np.eye(inverse.shape[0])) / scale**2)
             q.append(inverse @ mean[:, k] / scale**2)
         unit = np.tile(self.unit[:, None], self._power.shape[0])
-        return Groups(H=np.array(H), q=np.array(q), own=self._power.T, unit=unit)
+        return Groups(H=np.array(H), q=np.array(q), norms=self._power.T, unit=unit)
 
 
 def _varying_parameters(robot):

@@ -339,7 +339,7 @@ class _BodyProblem:
             variance, q = pair[:, 0], pair[:, 1:] / pair[:, :1]
             from_sites = [x @ site.precision @ x for x, site in zip(direction, sites)]
             H = np.maximum(1.0 / variance - from_sites, 0.0)[:, None, None]
-            groups = Groups(H=H, q=q, own=H[:, 0], unit=np.ones(q.shape))
+            groups = Groups(H=H, q=q, norms=H[:, 0], unit=np.ones(q.shape))
             odds = groups.integrated(DESCRIBED, DESCRIBED) - np.log(len(root))
             scale = groups.best_scale(DESCRIBED)
             total = H[:, 0, 0] + scale**-2

@@ -134,7 +134,7 @@ def movable_joints(path):
     # With followers that cannot be folded (`load_model`), without a base's free joint.
     path = Path(path)
     robot, _ = hold_base(_read(parse_description(path), path), None)
-    folded = foldable(carriers_of(robot.model), robot.links, robot.label)
+    folded = foldable(carriers_of(robot.model), robot.mimics, robot.label)
     return tuple(name for name in robot.in_file_order if name not in folded)
 
 
@@ -157,21 +157,21 @@ def write_reduced(path, target, moving, base_orientation=None):
                 "copy without the held joints would lose; take them out of the file "
                 "itself."
             )
-        write_whole(target, text_of_tree(reduced.model, reduced.links))
+        write_whole(target, text_of_tree(reduced.model, reduced.mimics))
     else:
         tree, base = parse_description(path), None
         if base_orientation is not None:
             (name,) = whole.free
             placement = whole.model.jointPlacements[whole.model.getJointId(name)]
             base = name, placement.rotation.T @ rotation_of(base_orientation)
-        hold_in_urdf(tree, reduced.names, reduced.links, base)
+        hold_in_urdf(tree, reduced.names, reduced.mimics, base)
         write_tree(tree, target)
     return tuple(name for name in robot.in_file_order if name not in reduced.names)
 
 
 def description_text(folded):
     """Return the URDF of a robot as text, XML without declaration."""
-    return folded.text or text_of_tree(folded.full, folded.links)
+    return folded.text or text_of_tree(folded.full, folded.mimics)
 
 
 def load_text(text, path):
@@ -206,10 +206,10 @@ def _build(tree, path, moving=None, base=None):
     if moving is not None:
         robot = robot.with_moving(moving)
     robot.check()
-    links = robot.links
-    folded = foldable(carriers_of(robot.model), links, robot.label)
+    mimics = robot.mimics
+    folded = foldable(carriers_of(robot.model), mimics, robot.label)
     result = replace(fold(robot.model, folded), text=text)
-    separate = [name for name in links if name not in folded]
+    separate = [name for name in mimics if name not in folded]
     messages = [*messages, *robot.left_out]
     _warn([*messages, *_left_out(separate, result.full)], path.name)
     for built in (result.model, result.still):

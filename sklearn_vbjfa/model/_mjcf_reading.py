@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 
-from sklearn_vbjfa.model._trees import Closure, Description, Link, import_pinocchio
+from sklearn_vbjfa.model._trees import Closure, Description, Mimic, import_pinocchio
 
 # Elements that need files or plugins, and do not affect the joints.
 _UNUSED = ("actuators", "hfields", "keys", "materials", "sensors", "skins", "textures")
@@ -47,13 +47,13 @@ def read_mjcf(path, name):
             "correct the description."
         ) from error
     names, nameless = _names(model)
-    closures, links = _equalities(mujoco, model, names)
+    closures, mimics = _equalities(mujoco, model, names)
     tree = _tree(mujoco, model, names, motors)
     tree.name = name
     return Description(
         model=tree,
         label=repr(str(path)),
-        links=links,
+        mimics=mimics,
         closures=tuple(closures),
         left_out=tuple(_left_out(model, tree, n_actuators, nameless)),
     )
@@ -241,8 +241,8 @@ def _placement(position, quaternion):
 
 
 def _equalities(mujoco, model, names):
-    """Return loop closures, a list of `Closure`, and followers, name -> `Link`."""
-    closures, links = [], {}
+    """Return loop closures, a list of `Closure`, and followers, name -> `Mimic`."""
+    closures, mimics = [], {}
     bodies = [None, *names["body"][1:]]
     for k in np.flatnonzero(model.eq_active0):
         kind = mujoco.mjtEq(int(model.eq_type[k])).name[5:].lower()
@@ -264,7 +264,7 @@ def _equalities(mujoco, model, names):
             if len(ids) == 2 and rate != 0 and not any(higher):
                 # Both positions are relative to those in the file.
                 follower, leader = model.qpos0[model.jnt_qposadr[ids]]
-                links[joints[0]] = Link(
+                mimics[joints[0]] = Mimic(
                     leader=joints[1],
                     multiplier=float(rate),
                     offset=float(offset + follower - rate * leader),
@@ -283,4 +283,4 @@ def _equalities(mujoco, model, names):
                 f"{label} is a constraint of the kind {kind!r}, which is not modelled"
             )
             closures.append(Closure(message, joints=tuple(names["joint"])))
-    return closures, links
+    return closures, mimics

@@ -352,7 +352,7 @@ class Description:
     model: object
     label: str  # name of the robot in messages
     listed: tuple = ()  # names of the joints in the order of the file
-    links: dict = field(default_factory=dict)  # name -> `Link`
+    mimics: dict = field(default_factory=dict)  # name -> `Mimic`
     closures: tuple = ()
     left_out: tuple = ()  # messages about contents that are not modelled
 
@@ -394,25 +394,24 @@ class Description:
                 f"{self.label}: the robot has no movable joint {unknown[0]!r}; it has "
                 f"{', '.join(self.names) or 'none'}."
             )
-        links = {name: link for name, link in self.links.items() if name not in moving}
-        followers = movable_followers(
-            moving, carriers_of(self.model), links, self.label
-        )
-        for name, link in links.items():
-            if name not in followers and link.leader in moving:
+        mimics = {k: mimic for k, mimic in self.mimics.items() if k not in moving}
+        carriers = carriers_of(self.model)
+        followers = movable_followers(moving, carriers, mimics, self.label)
+        for name, mimic in mimics.items():
+            if name not in followers and mimic.leader in moving:
                 raise ValueError(
-                    f"{self.label}: {name} follows {link.leader}, which moves, and "
+                    f"{self.label}: {name} follows {mimic.leader}, which moves, and "
                     "carries joints that do not follow: it can neither be held nor "
                     "folded. Give it columns and a torque (name it as well), or hold "
-                    f"{link.leader} too."
+                    f"{mimic.leader} too."
                 )
         pin, model = import_pinocchio(), self.model
         kept = {*moving, *followers}
         fixed = [k for k, name in enumerate(self.names, 1) if name not in kept]
         if fixed:
             model = pin.buildReducedModel(model, fixed, pin.neutral(model))
-        links = {name: link for name, link in links.items() if name in followers}
-        return replace(self, model=model, links=links)
+        mimics = {name: mimic for name, mimic in mimics.items() if name in followers}
+        return replace(self, model=model, mimics=mimics)
 
     def check(self):
         """Refuse closed loops, and joints with several degrees of freedom."""
@@ -499,7 +498,7 @@ def rotation_of(orientation):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Link:
+class Mimic:
     """How a joint follows another: position = multiplier * leader + offset."""
 
     leader: str  # name of the followed joint, which may follow another one
@@ -540,37 +539,37 @@ class Folded:
     # `model` with the followers' bodies fixed, leaders at zero, so no mass is missing
     still: object
     full: object  # model in which followers are separate joints
-    links: dict
+    mimics: dict
     text: str | None = None  # of the URDF that it was read from
 
     @property
     def motion(self):
         """Rates (n, nv) and offsets (n,) of the positions of all joints of `full`."""
-        links = [self.links.get(x, Link(leader=x)) for x in joint_names(self.full)]
-        leads = np.array([[x.leader] for x in links]) == joint_names(self.model)
-        offsets = np.array([x.offset for x in links])
-        return leads * np.array([[x.multiplier] for x in links]), offsets
+        mimics = [self.mimics.get(x, Mimic(leader=x)) for x in joint_names(self.full)]
+        leads = np.array([[x.leader] for x in mimics]) == joint_names(self.model)
+        offsets = np.array([x.offset for x in mimics])
+        return leads * np.array([[x.multiplier] for x in mimics]), offsets
 
 
-def foldable(carriers, links, label):
-    """Return the followers that carry only followers, name -> `Link`."""
+def foldable(carriers, mimics, label):
+    """Return the followers that carry only followers, name -> `Mimic`."""
     # The returned leaders are not followers. carriers: parent joint of each joint, or
     # None; label: name of the robot in messages.
-    for name, link in links.items():
-        if link.leader not in carriers:
+    for name, mimic in mimics.items():
+        if mimic.leader not in carriers:
             raise ValueError(
-                f"{label}: joint {name!r} mimics {link.leader!r}, which is not a "
+                f"{label}: joint {name!r} mimics {mimic.leader!r}, which is not a "
                 "moving joint of the robot; correct the description."
             )
         chain = [name]
-        while chain[-1] in links:
-            chain.append(links[chain[-1]].leader)
+        while chain[-1] in mimics:
+            chain.append(mimics[chain[-1]].leader)
             if chain[-1] in chain[:-1]:
                 raise ValueError(
                     f"{label}: mimic joints {', '.join(chain[:-1])} form a cycle; "
                     "correct the description."
                 )
-    kept = dict(links)
+    kept = dict(mimics)
     while True:
         carrying = {
             carrier
@@ -579,28 +578,28 @@ def foldable(carriers, links, label):
         }
         if not carrying:
             return {name: _resolve(name, kept) for name in kept}
-        kept = {name: link for name, link in kept.items() if name not in carrying}
+        kept = {name: mimic for name, mimic in kept.items() if name not in carrying}
 
 
-def _resolve(name, links):
-    """Return the link of a follower to a joint that is not a follower."""
+def _resolve(name, mimics):
+    """Return how a follower follows a joint that is not a follower."""
     leader, rate, offset = name, 1.0, 0.0
-    while leader in links:
-        link = links[leader]
-        offset, rate = offset + rate * link.offset, rate * link.multiplier
-        leader = link.leader
-    return Link(leader=leader, multiplier=rate, offset=offset)
+    while leader in mimics:
+        mimic = mimics[leader]
+        offset, rate = offset + rate * mimic.offset, rate * mimic.multiplier
+        leader = mimic.leader
+    return Mimic(leader=leader, multiplier=rate, offset=offset)
 
 
-def movable_followers(moving, carriers, links, label):
+def movable_followers(moving, carriers, mimics, label):
     """Return the names of foldable followers whose leaders move."""
-    # carriers, links: of all joints, validated by `foldable`.
-    foldable(carriers, links, label)
-    followers = set(links)
+    # carriers, mimics: of all joints, validated by `foldable`.
+    foldable(carriers, mimics, label)
+    followers = set(mimics)
     while True:
         # A fixed joint is one body with its parent and has no followers.
         joints = {*moving, *followers}
-        kept = {name: links[name] for name in followers if links[name].leader in joints}
+        kept = {k: mimics[k] for k in followers if mimics[k].leader in joints}
         if len(kept) == len(followers):
             parents = {name: _carrier(carriers, name, joints) for name in joints}
             kept = foldable(parents, kept, label)
@@ -617,35 +616,33 @@ def _carrier(carriers, name, joints):
     return name
 
 
-def fold(full, links):
+def fold(full, mimics):
     """Remove `foldable` followers from the joints of a robot."""
-    if not links:
-        return Folded(model=full, followers=(), still=full, full=full, links={})
+    if not mimics:
+        return Folded(model=full, followers=(), still=full, full=full, mimics={})
     pin, numbers = import_pinocchio(), {name: i for i, name in enumerate(full.names)}
-    links = {name: links[name] for name in full.names if name in links}
+    mimics = {name: mimics[name] for name in full.names if name in mimics}
     massless, positions = full.copy(), np.zeros(full.nq)
-    for name, link in links.items():
+    for name, mimic in mimics.items():
         massless.inertias[numbers[name]] = pin.Inertia.Zero()
-        positions[full.joints[numbers[name]].idx_q] = link.offset
-    locked = [numbers[name] for name in links]
+        positions[full.joints[numbers[name]].idx_q] = mimic.offset
+    locked = [numbers[name] for name in mimics]
     model, still = (
         pin.buildReducedModel(x, locked, positions) for x in (massless, full)
     )
     model.name = still.name = full.name
     remaining, steps, tree = joint_names(model), [None], describe(full)
-    for name, link in links.items():
-        rotor = link.multiplier**2 * full.armature[numbers[name] - 1]
+    for name, mimic in mimics.items():
+        rotor = mimic.multiplier**2 * full.armature[numbers[name] - 1]
         for x in (model, still):
-            x.armature[remaining.index(link.leader)] += rotor
+            x.armature[remaining.index(mimic.leader)] += rotor
     for i, name in enumerate(joint_names(full)):
-        link, placement = (
-            links.get(name, Link(leader=name)),
-            full.jointPlacements[i + 1],
-        )
+        mimic = mimics.get(name, Mimic(leader=name))
+        placement = full.jointPlacements[i + 1]
         step = ChainJoint(
-            joint=remaining.index(link.leader),
-            rate=link.multiplier,
-            offset=link.offset,
+            joint=remaining.index(mimic.leader),
+            rate=mimic.multiplier,
+            offset=mimic.offset,
             slides=not tree.turns[i],
             place=tuple(placement.translation.tolist()),
             frame=tuple(placement.rotation.ravel().tolist()),
@@ -655,11 +652,13 @@ def fold(full, links):
     followers = tuple(
         FollowingBody(
             name=name,
-            leader=remaining.index(link.leader),
+            leader=remaining.index(mimic.leader),
             chain=tuple(steps[k] for k in full.supports[numbers[name]].tolist()[1:]),
             gravity=tuple(full.gravity.linear.tolist()),
             parameters=full.inertias[numbers[name]].toDynamicParameters(),
         )
-        for name, link in links.items()
+        for name, mimic in mimics.items()
     )
-    return Folded(model=model, followers=followers, still=still, full=full, links=links)
+    return Folded(
+        model=model, followers=followers, still=still, full=full, mimics=mimics
+    )

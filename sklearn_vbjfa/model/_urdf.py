@@ -16,7 +16,7 @@ from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.model._trees import (
     Closure,
     Description,
-    Link,
+    Mimic,
     body_names,
     carriers_of,
     check_kinds,
@@ -99,7 +99,7 @@ def read_urdf(tree, path):
     _check_masses(root, label)
     _check_axes(root, label)
     _check_tree(root, label)
-    links = _followers(root, label)
+    mimics = _followers(root, label)
     closures = _closures(root)
     # A non-standard attribute, written by `text_of_tree`.
     rotors = {
@@ -114,7 +114,7 @@ def read_urdf(tree, path):
         model=model,
         label=label,
         listed=tuple(joint.get("name") for joint in _joints(root)),
-        links=links,
+        mimics=mimics,
         closures=closures,
     )
 
@@ -126,9 +126,9 @@ def _joints(root, *kinds):
 
 
 def _followers(root, label):
-    """Return followers, name -> `Link`; fix followers of fixed joints."""
+    """Return followers, name -> `Mimic`; fix followers of fixed joints."""
     fixed = {joint.get("name") for joint in _joints(root, "fixed")}
-    links, joints = {}, {}
+    mimics, joints = {}, {}
     for joint in _joints(root, *_AXIAL):
         mimic = joint.find("mimic")
         if mimic is None:
@@ -144,13 +144,13 @@ def _followers(root, label):
                 )
             values.append(value)
         leader, joints[name] = mimic.get("joint", ""), joint
-        links[name] = Link(leader=leader, multiplier=values[0], offset=values[1])
-    while follow := [name for name, link in links.items() if link.leader in fixed]:
+        mimics[name] = Mimic(leader=leader, multiplier=values[0], offset=values[1])
+    while follow := [name for name, mimic in mimics.items() if mimic.leader in fixed]:
         for name in follow:
             _fix(joints[name])
             fixed.add(name)
-            del links[name]
-    return links
+            del mimics[name]
+    return mimics
 
 
 def _build(root, label):
@@ -300,9 +300,9 @@ def _closures(root):
     return tuple(closures)
 
 
-def hold_in_urdf(tree, names, links, base=None):
+def hold_in_urdf(tree, names, mimics, base=None):
     """Fix the unnamed joints of a URDF at zero, a free joint with given axes."""
-    # links: named joints that are still followers; base: name of the free joint, and
+    # mimics: named joints that are still followers; base: name of the free joint, and
     # rotation (3, 3) of its origin in its own axes.
     for joint in _joints(tree.getroot()):
         name = joint.get("name")
@@ -310,7 +310,7 @@ def hold_in_urdf(tree, names, links, base=None):
             _rotate_origin(joint, base[1])
         if name not in names:
             _fix(joint)
-        elif name not in links:
+        elif name not in mimics:
             for mimic in joint.findall("mimic"):
                 joint.remove(mimic)
 

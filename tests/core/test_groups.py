@@ -26,7 +26,7 @@ def groups_of(X, y, unit, freedom=np.inf):
     return Groups(
         H=(X.T @ X)[None],
         q=(X.T @ y)[None],
-        own=(X**2).sum(axis=0)[None],
+        norms=(X**2).sum(axis=0)[None],
         unit=np.asarray(unit)[None],
         freedom=freedom,
     )
@@ -142,7 +142,7 @@ def test_gain_and_coefficients_equal_least_squares():
     assert_allclose(groups.gain(), [y @ y - rest[0]], rtol=1e-8)
     # Even if the model explains nearly all of a column.
     one = groups_of(X[:, :1], y, [1.0])
-    nearly = Groups(H=one.H, q=one.q, own=1e6 * one.own, unit=one.unit)
+    nearly = Groups(H=one.H, q=one.q, norms=1e6 * one.norms, unit=one.unit)
     assert_allclose(nearly.gain(), one.gain())
 
 
@@ -162,7 +162,7 @@ def test_odds_are_calibrated():
     groups = Groups(
         H=np.broadcast_to(X.T @ X, (count, 2, 2)),
         q=y @ X,
-        own=np.broadcast_to((X**2).sum(axis=0), (count, 2)),
+        norms=np.broadcast_to((X**2).sum(axis=0), (count, 2)),
         unit=np.broadcast_to(unit, (count, 2)),
     )
     probability = special.expit(groups.evidence(0.1))

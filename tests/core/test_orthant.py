@@ -32,7 +32,7 @@ def test_nine_elements_by_a_million_draws(seed):
 
 
 def groups(X, y, positive):
-    moments = {"H": X.T @ X, "q": X.T @ y, "own": (X**2).sum(axis=0)}
+    moments = {"H": X.T @ X, "q": X.T @ y, "norms": (X**2).sum(axis=0)}
     unit = np.ones((1, X.shape[1]))
     return Groups(
         **{k: v[None] for k, v in moments.items()}, unit=unit, positive=positive

@@ -214,8 +214,8 @@ class FinalFit:
             C = self.in_equations(effect)[:, j] * scale
             cross, unit = inside @ C, np.ones((1, C.shape[1]))
             H, q = C.T @ C - cross.T @ cross, C.T @ y[:, j] - cross.T @ target
-            own = np.diagonal(H)[None] + (cross**2).sum(axis=0)
-            return Groups(H=H[None], q=q[None], own=own, unit=unit, positive=bank)
+            norms = np.diagonal(H)[None] + (cross**2).sum(axis=0)
+            return Groups(H=H[None], q=q[None], norms=norms, unit=unit, positive=bank)
 
         given, variance = moments(effect), estimate.given_shape().covariance
         parameters, gains = [], [given.gain()]

@@ -219,7 +219,7 @@ def _is_hidden(effect, result, missing):
     for columns in tested:
         groups = fit.groups(columns)
         remaining = np.diagonal(groups.H, axis1=1, axis2=2)
-        least = _HIDDEN * groups.own
+        least = _HIDDEN * groups.norms
         if isinstance(effect, InModel):
             # Hidden if not even its largest plausible value would be reported.
             reach = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)

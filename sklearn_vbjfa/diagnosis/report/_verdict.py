@@ -175,18 +175,20 @@ def _status(outcome, joints, faults):
     return "nothing" if nothing else "complete"
 
 
+# Joint statuses that forbid a use.
+_FORBIDDEN = {
+    "feedforward": _UNTRUSTED,
+    "simulation": _UNTRUSTED,
+    "collision detection": _UNTRUSTED + _ABOVE_NOISE,
+}
+
+
 def _uses(outcome, faults, joints, rose):
     """Decide on the uses of an outcome, a tuple of `Use`; reasons are codes."""
     overall = "faulty" if faults else ""
     overall = overall or ("contradiction" if outcome.findings["contradictions"] else "")
-    large = [joint.joint for joint in outcome.errors if joint.after > _LARGE]
-    fifth = [x.joint for x in outcome.errors if _FIFTH < x.after <= _LARGE]
     effects = (*outcome.findings["effects"], *outcome.findings["possible"])
     library, motion = outcome.robot["library"], enumerate(outcome.robot["motion"])
-    one_way = [j for j, x in motion if x.resting < 1 and not x.reversals]
-    noted = {"large": large, "fifth": fifth, "rose": rose, "one way": one_way}
-    hidden = {e.joint for e in effects if library[e.name].files.simulation}
-    hidden = sorted(hidden.union(outcome.robot["unsimulated"]))
     # Without a torque sensor, a wrong gain is an error of the control law itself.
     gains = [x.joint for x in effects if x.name == TorqueGain.name and not x.warning]
     wrong = {"gain": gains} if gains and outcome.robot["drive"] else {}
@@ -197,15 +199,21 @@ def _uses(outcome, faults, joints, rose):
     doubtful = [x.joint for x in joints if followed and x.status in _ABOVE_NOISE]
     excess = outcome.column("after") ** 2 - np.nan_to_num(outcome.column("floor")) ** 2
     poor = [j for j in doubtful if excess[j] > _FIFTH**2]
-    noted["unconfirmed"] = doubtful
+    # Qualifications of all allowed uses, and of single ones: joints by code.
+    noted = {
+        "large": [x.joint for x in outcome.errors if x.after > _LARGE],
+        "fifth": [x.joint for x in outcome.errors if _FIFTH < x.after <= _LARGE],
+        "rose": rose,
+        "one way": [j for j, x in motion if x.resting < 1 and not x.reversals],
+        "unconfirmed": doubtful,
+    }
+    hidden = {e.joint for e in effects if library[e.name].files.simulation}
+    hidden = sorted(hidden.union(outcome.robot["unsimulated"]))
     far = [x.joint for x in joints if x.detail == "far"]
-    own = {"simulation": {"left out": hidden}, "collision detection": {"far": far}}
+    noted_for = {"simulation": {"left out": hidden}}
+    noted_for["collision detection"] = {"far": far}
     uses = []
-    for name, forbidden in (
-        ("feedforward", _UNTRUSTED),
-        ("simulation", _UNTRUSTED),
-        ("collision detection", _UNTRUSTED + _ABOVE_NOISE),
-    ):
+    for name, forbidden in _FORBIDDEN.items():
         causes = {overall: []} if overall else dict(wrong)
         if name == "feedforward" and poor and not overall:
             causes["law"] = poor
@@ -217,7 +225,7 @@ def _uses(outcome, faults, joints, rose):
         if name == "simulation" and unstable and not (overall or followed):
             causes["unstable"] = []
         if allowed := not causes:
-            qualified = noted | own.get(name, {})
+            qualified = noted | noted_for.get(name, {})
             causes |= {code: x for code, x in qualified.items() if x}
             if followed:
                 causes["followed" if name == "simulation" else "by law"] = []
@@ -233,15 +241,16 @@ def _joints_with(outcome, *kinds):
     return {e.joint for e in effects if e.scope == "joint"}
 
 
-def _masses(outcome, whole, condition):
+def _masses(outcome, overall, condition):
     """Return uses for the link masses: identified ones, and the others."""
+    # overall: cause against all uses, or ""; condition: qualification of allowed ones.
     bodies, gains = outcome.facts_of("mass"), outcome.robot["gains"]
     if gains is not None and not gains.absolute:
-        whole = whole or "relative"
-    identified = [b.name for b in bodies if b.source == "yes" and not whole]
+        overall = overall or "relative"
+    identified = [b.name for b in bodies if b.source == "yes" and not overall]
     others = [b.name for b in bodies if b.name not in identified]
     uses = []
-    for names, reason in ((identified, ""), (others, whole or "masses")):
+    for names, reason in ((identified, ""), (others, overall or "masses")):
         if names:
             some = f" of {words.join(names, 3)}" if identified and others else ""
             cause, name = reason or condition, f"link masses{some}"

@@ -419,7 +419,7 @@ class Fit:
             groups = Groups(
                 H=moments.H - _blocks(D, c, k),
                 q=moments.q - (self._t @ D).reshape(c, k),
-                own=np.diagonal(moments.gram, axis1=1, axis2=2),
+                norms=np.diagonal(moments.gram, axis1=1, axis2=2),
                 unit=columns.unit,
                 positive=isinstance(columns.effects[0], Bank),
             )
@@ -543,7 +543,7 @@ class Fit:
             groups = Groups(
                 H=inverse[None] - np.diag(self.prior[at]),
                 q=(inverse @ (self._coef[at] + member.applied))[None],
-                own=np.diagonal(gram, axis1=1, axis2=2),
+                norms=np.diagonal(gram, axis1=1, axis2=2),
                 unit=member.unit[None],
             )
             result.append(groups)

@@ -276,7 +276,7 @@ def _instants(fit, effect, columns, scale, apart=np.inf):
     H = (1 - share) * groups.H[low]
     H += share * groups.H[np.minimum(low + 1, grid.size - 1)]
     near = np.round(position).astype(int)
-    fields = {"own": groups.own[near], "unit": groups.unit[near]}
+    fields = {"norms": groups.norms[near], "unit": groups.unit[near]}
     evidence = replace(groups, H=H, q=after, **fields).evidence(scale)
     spacing, best_effects = np.diff(grid).max(initial=0.0), []
     # Outside the grid the Gram matrix cannot be interpolated.

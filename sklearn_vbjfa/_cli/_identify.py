@@ -38,7 +38,7 @@ def identify(arguments, folder):
     settings = _input.settings(arguments)
     recording, urdf, locked = _input.load(arguments, folder)
     with _input.naming_input(arguments):
-        loop = search(recording, str(urdf), effects=effects, **settings)
+        loop = discover(recording, str(urdf), effects=effects, **settings)
     robot = folder / "robot"
     incomplete, export = _write_robot(loop.identifier_, robot)
     outcome = loop.report_.outcome
@@ -143,11 +143,11 @@ def identify_demo(arguments, folder):
 
     # Logs do not contain exact states.
     recording = replace(load_demo_recording(), states=None)
-    loop = search(recording, recording.urdf)
+    loop = discover(recording, recording.urdf)
     return Result(text=f"{recording}\n{loop.report_}", doubts=loop.report_.warnings)
 
 
-def search(recording, urdf, *, effects="all", options=None, **settings):
+def discover(recording, urdf, *, effects="all", options=None, **settings):
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
     from sklearn_vbjfa.fit import FitOptions
 

@@ -506,9 +506,8 @@ def _loosen(problem, sites):
         sites = problem.sites()
 
 
-def around(description, A, b):
-    """Estimate parameters from normal equations A theta = b and a description."""
-    # A (p, p) and b (p,) are in units of the noise; parameters without prior are free.
+def _rescaled(description, A, b):
+    """Scale a description to the torques; return the factor, problem and sites."""
     # If description and torques have different units, their ratio may be thousands. The
     # description is first scaled by least squares, in which one well excited body may
     # dominate, then rescaled while the posterior common size contradicts it.
@@ -530,8 +529,14 @@ def around(description, A, b):
         departure = _single_departure(description, A, b, common)
         # If both explain the torques equally well, the unit is uncertain.
         if departure[0] > problem.log_evidence(sites) + RIVALS:
-            _, problem, sites = departure
-            scale = 1.0
+            return 1.0, *departure[1:]
+    return scale, problem, sites
+
+
+def around(description, A, b):
+    """Estimate parameters from normal equations A theta = b and a description."""
+    # A (p, p) and b (p,) are in units of the noise; parameters without prior are free.
+    scale, problem, sites = _rescaled(description, A, b)
     problem, sites, found, unknown = _loosen(problem, sites)
     mean, root = problem.solve(sites)
     description = description.loosened(unknown)

@@ -69,11 +69,6 @@ class Estimate:
     alike: tuple = ()  # `AlikeValue` of joints with the same drive
 
     @property
-    def identifiable(self):
-        """Parameters (p,), bool, that the data determine individually."""
-        return identifiable(self.metric)
-
-    @property
     def marginal_std(self):
         """`std`, infinite for a part that neither data nor prior determine, (p,)."""
         # A described body is determined, and directions that change it.
@@ -148,7 +143,7 @@ def estimate(
             regressor = VBJFARegressor(latent="correlated", query="noiseless")
         regressor = clone(regressor)
         if from_moments(regressor):
-            theta, std, covariance = _fit_moments(regressor, total, noise)
+            theta, std, covariance = _fit_scatter(regressor, total, noise)
         else:
             theta, std = _fit_rows(regressor, rows, weight, total)
     inflation, pooled = _block_inflation(moments, weight, theta)
@@ -333,8 +328,8 @@ def _block_inflation(moments, weight, theta):
     return np.where(np.isfinite(factor), factor, 1.0), scatter.pooled
 
 
-def _fit_moments(regressor, total, noise):
-    """Fit a regressor to second moments; return coef, std and covariance."""
+def _fit_scatter(regressor, total, noise):
+    """Fit a regressor to a `Scatter`; return coef, std and covariance."""
     regressor.set_params(fit_intercept=False)
     takes_covariance = getattr(regressor, "latent", None) == "correlated"
     if takes_covariance and regressor.input_noise is None:

@@ -122,13 +122,11 @@ class RobotFit:
         """Give a robot the parameters of an `Estimate`."""
         # identified: (p,), bool; segments: of the recording.
         input_std, output_std = result.noise()
-        features, ranges = robot.features_, result.moments.ranges
         robot = replace(
             robot,
             output_noise_=output_std,
             noise_floor_=np.hypot(robot.torque_noise_, input_std),
             joint_weights=result.joint_weights,
-            effect_ranges_=effect_ranges(features.friction_, robot.effects_, ranges),
             identifiable_=identified,
         )
         return cls(robot=robot, estimate=result, segments=segments).with_estimate(
@@ -165,13 +163,13 @@ class RobotFit:
         bodies = self.estimate.bodies
         return (1.0, np.inf) if bodies is None else bodies.torque_size
 
-    def with_load_ranges(self):
-        # Only effects may depend on the load; declared friction does not.
-        robot = self.robot
-        if not robot.effects_:
-            return self
-        loads = (x.loads(robot.plan.lowpass, robot.rigid) for x in self.segments)
-        load = sum_ranges(list(loads))
+    def with_ranges(self):
+        """Set the ranges of signals on which friction and effects were fitted."""
+        robot, load = self.robot, None
+        if robot.effects_:
+            # Declared friction does not depend on the load.
+            loads = (x.loads(robot.plan.lowpass, robot.rigid) for x in self.segments)
+            load = sum_ranges(list(loads))
         motion, friction = self.estimate.moments.ranges, robot.features_.friction_
         ranges = effect_ranges(friction, robot.effects_, motion, load)
         return replace(self, robot=replace(robot, effect_ranges_=ranges))
@@ -309,7 +307,7 @@ def fit_robot(recipe, robot, data, previous):
     corners = velocity_corners(fit.robot, data)
     if corners is not None:
         fit = _fit_with_corners(recipe, fit, data, corners)
-    return fit.with_load_ranges()
+    return fit.with_ranges()
 
 
 def _fit_with_corners(recipe, smooth, data, corners):
@@ -514,10 +512,8 @@ def refine_fit(recipe, fit, data, window):
     result = replace(result, std=robot.theta_std_)
     motion = data.recording, data.states
     result, criteria = refine(robot, result, *motion, window, recipe.projector)
-    ranges = robot.effect_ranges_
     fit = RobotFit.of(robot, result, robot.identifiable_, fit.segments)
-    robot = replace(fit.robot, effect_ranges_=ranges)
-    return replace(fit, robot=robot, criteria=criteria)
+    return replace(fit, criteria=criteria)
 
 
 # -- values of effects that are part of the robot model, by Gauss and Newton -----------

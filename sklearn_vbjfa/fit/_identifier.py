@@ -419,7 +419,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         # plan: of states and equations; moments: `JointMoments` of all equations;
         # facts: function from the fitted `robot_` to `NoiseFacts` of all recordings.
         self.n_features_in_ = plan.standstill.size
-        fit = self._recipe().fit_moments(self._declared_robot(plan), moments)
+        robot = self._declared_robot(plan)
+        fit = self._recipe().fit_moments(robot, moments).with_ranges()
         if self.fit_options.torque_noise is None:
             fit = fit.with_noise_facts(facts(fit.robot))
         return self._set_attributes(fit)

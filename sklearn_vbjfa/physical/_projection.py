@@ -38,11 +38,12 @@ _PAPER_WIDTH = 11
 def resolve_layout(n_features, options, names=None):
     """Find the columns of the bodies (n_bodies, 10) and the non-negative columns."""
     if options.body_starts is not None:
-        starts, kept = options.body_starts, options.nonnegative
+        starts, nonnegative = options.body_starts, options.nonnegative
     else:
-        starts, kept = _named_layout(n_features, names) or _guessed_layout(n_features)
-    starts, kept = np.array(starts, dtype=int), np.array(kept, dtype=int)
-    return starts[:, None] + np.arange(N_INERTIAL), kept
+        layout = _named_layout(n_features, names) or _guessed_layout(n_features)
+        starts, nonnegative = layout
+    columns = np.array(starts, dtype=int)[:, None] + np.arange(N_INERTIAL)
+    return columns, np.array(nonnegative, dtype=int)
 
 
 def _named_layout(n_features, names):
@@ -298,8 +299,9 @@ class Projection:
     def __call__(self, theta):
         """Project one vector (n_features,)."""
         theta = self.metric.without_rounding(theta)
-        bodies, kept = self.bodies, self.nonnegative
-        if np.all(self._eigenvalues(theta) >= self.margin) and np.all(theta[kept] >= 0):
+        bodies, nonnegative = self.bodies, self.nonnegative
+        consistent = np.all(self._eigenvalues(theta) >= self.margin)
+        if consistent and np.all(theta[nonnegative] >= 0):
             return theta.copy()
         units, scaled_root = self._scale(theta)
         # One common factor brings bodies far from their scales back near one.
@@ -310,7 +312,7 @@ class Projection:
             theta / units,
             constraint=self.constraint,
             body_columns=bodies,
-            nonnegative=kept,
+            nonnegative=nonnegative,
             margin=self.margin / common,
             metric_root=scaled_root,
             anchor=(theta if self.anchor is None else self.anchor) / units,
@@ -356,9 +358,9 @@ class Projection:
         """Make a vector consistent to the last bit in the units of the user."""
         # Division by the units rounds, so that an eigenvalue may be slightly below the
         # margin; add the smallest lift that restores it.
-        bodies, kept = self.bodies, self.nonnegative
-        least = _ROUNDING * np.abs(vector / units).max(initial=0.0) * units[kept]
-        vector[kept] = np.where(vector[kept] > least, vector[kept], 0.0)
+        bodies, at = self.bodies, self.nonnegative
+        least = _ROUNDING * np.abs(vector / units).max(initial=0.0) * units[at]
+        vector[at] = np.where(vector[at] > least, vector[at], 0.0)
         excess = np.finfo(float).eps
         for _ in range(60):
             lacking = self._eigenvalues(vector) < self.margin

@@ -110,7 +110,7 @@ def make_outcome(discovery, result, final, judged, channels, whole):
     """Return the `Outcome` of a discovery, and the `ExpectedError` of other motions."""
     # Its models were fitted to the rows of the search, `final` to all data;
     # `judged` is returned by `held_out_errors`; `whole` is all data.
-    identifier, columns = final.identifier, judged["columns"]
+    identifier, columns = final.identifier, dict(judged["columns"])
     names, spread, after = identifier.joint_names_, columns["spread"], columns["after"]
     validated = discovery.validation_model_
     # The final fit has the most data; missing effects raise the declared one's floor.
@@ -141,14 +141,11 @@ def make_outcome(discovery, result, final, judged, channels, whole):
     ]
     columns |= {"joint": range(spread.size), "name": names, "unit": units}
     columns |= {"position_unit": np.where(prismatic, "m", "rad")}
-    columns |= {key: columns[key] / gains for key in ("spread", "threshold")}
-    intervals = {key: zip(*ends.tolist()) for key, ends in judged["intervals"].items()}
-    columns["intervals"] = _rows(intervals)
     sizes, parameters = (spread, floor, gains), parameter_values(identifier)
     masses = _masses(identifier, parameters)
     worst = np.argsort(-np.nan_to_num(after, nan=-1), kind="stable")[:_N_DRAWN].tolist()
     outcome = Outcome(
-        errors=tuple(JointErrors(**row) for row in _rows(columns)),
+        errors=_joint_errors(columns, judged["intervals"], gains),
         findings={
             "effects": tuple(e for e in effects if not e.warning),
             "possible": tuple(e for e in effects if e.warning),
@@ -181,6 +178,14 @@ def make_outcome(discovery, result, final, judged, channels, whole):
         },
     )
     return outcome, expectation
+
+
+def _joint_errors(columns, intervals, gains):
+    """Return the `JointErrors` of all joints, torques in units of the channels."""
+    intervals = {key: zip(*ends.tolist()) for key, ends in intervals.items()}
+    columns = columns | {key: columns[key] / gains for key in ("spread", "threshold")}
+    rows = _rows(columns | {"intervals": _rows(intervals)})
+    return tuple(JointErrors(**row) for row in rows)
 
 
 def _expectation(final, parts, columns, interval):

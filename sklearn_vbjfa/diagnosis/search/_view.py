@@ -117,7 +117,7 @@ class RecordingView:
         self.step = (robot.dt or 1.0) * self._lowpass.step
         self.repetition = repetition
         self._source = replace(recording, t=clock), states
-        self._root, self._corrections = self, frozenset()
+        self._original, self._corrections = self, frozenset()
         self._corrected, self.cache, self._recent = {}, WeakValueDictionary(), {}
         self._set_equations()
         self.recorded = self.equations.index
@@ -133,24 +133,25 @@ class RecordingView:
     def corrected(self, effects):
         """Return the view of the robot with the corrections of effects."""
         # Rows, blocks and weights stay the same; equations and coordinates change.
-        keys = {effect.key() for effect in self._root.robot.effects_}
+        keys = {effect.key() for effect in self._original.robot.effects_}
         corrections = [e for e in effects if isinstance(e, InModel)]
         corrections = [e for e in corrections if e.corrects or e.key() in keys]
         key = frozenset((e.key(), tuple(e.values.tolist())) for e in corrections)
         if key == self._corrections:
             return self
-        root = self._root
+        original = self._original
         if not key:
-            return root
-        if key not in root._corrected:
-            if len(root._corrected) >= _CACHED_VIEWS:
-                root._corrected.pop(next(iter(root._corrected)))
-            view = copy.copy(root)
-            view.robot, view._corrections = root.robot.corrected(corrections), key
+            return original
+        views = original._corrected
+        if key not in views:
+            if len(views) >= _CACHED_VIEWS:
+                views.pop(next(iter(views)))
+            view = copy.copy(original)
+            view.robot, view._corrections = original.robot.corrected(corrections), key
             view._set_equations()
             view._set_coordinates()
-            root._corrected[key] = view
-        return root._corrected[key]
+            views[key] = view
+        return views[key]
 
     def at_rest(self):
         """Return the joints that often stand still for longer than the low-pass."""
@@ -170,10 +171,10 @@ class RecordingView:
         joints = tuple(sorted({*joints}))
         if joints == self.robot.plan.resting:
             return self
-        view = copy.copy(self._root)
+        view = copy.copy(self._original)
         plan = replace(view.robot.plan, resting=joints)
         view.robot = replace(view.robot, plan=plan)
-        view._root, view._corrected = view, {}
+        view._original, view._corrected = view, {}
         view.cache, view._recent = WeakValueDictionary(), {}
         view._set_equations()
         view._set_coordinates()

@@ -183,6 +183,11 @@ class BodyPosterior:
     # common factor of all torques over those of the description, its relative error
     torque_size: tuple[float, float] = (1.0, np.inf)
 
+    @property
+    def weighted_prior(self):
+        """`prior` in the units of the weighted equations, (p, p)."""
+        return self.noise * self.prior
+
 
 def little_learned(std, prior_std):
     """Return whether data leave most of the prior deviation."""
@@ -608,7 +613,7 @@ def fix_bodies(description, A, b):
     )
 
 
-def described_bodies(identifier):
+def body_prior_of(identifier):
     """Return the `BodyPrior` of an identifier; None if its bodies are free."""
     bodies, features = identifier.bodies, identifier.features_
     if not isinstance(bodies, str) or bodies not in OPTIONS:

@@ -81,7 +81,7 @@ class Estimate:
         """`metric` plus the precision of the prior in the same units, (p, p)."""
         if self.bodies is None:
             return self.metric
-        metric = self.metric + self.bodies.noise * self.bodies.prior
+        metric = self.metric + self.bodies.weighted_prior
         # Fixed parameters do not move with any other.
         fixed = self.prior_std == 0
         metric[np.not_equal.outer(fixed, fixed)] = 0.0
@@ -174,7 +174,7 @@ def plain_estimate(moments, joint_weights, bodies):
     metric = denoised(total, noise)
     right, fixed = total.S_xy, np.zeros(total.S_xy.size, dtype=bool)
     if bodies is not None:
-        prior, fixed = bodies.noise * bodies.prior, bodies.prior_std == 0
+        prior, fixed = bodies.weighted_prior, bodies.prior_std == 0
         known = np.where(fixed, bodies.centre, 0.0)
         right = right + prior @ bodies.centre
         right = np.where(fixed, 0.0, right - metric @ known)

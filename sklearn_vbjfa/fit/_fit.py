@@ -26,6 +26,7 @@ from sklearn_vbjfa.equations._plan import effect_indices, needs_load
 from sklearn_vbjfa.equations._ranges import effect_ranges, sum_ranges
 from sklearn_vbjfa.equations._states import RecordingStates
 from sklearn_vbjfa.equations._torque_noise import common_waves, filtered_noise
+from sklearn_vbjfa.fit._bodies import BodyPrior
 from sklearn_vbjfa.fit._estimate import (
     Estimate,
     PlainEstimate,
@@ -195,18 +196,18 @@ class Recipe:
     joint_weights: object = "auto"
     projector: object = "default"
     bodies: str = "free"
-    description: object = None  # `BodyPrior` of the bodies
+    body_prior: BodyPrior | None = None
     gains: object = None
     relative: RelativeGains | None = None  # where the iteration of the gains begins
     masses: dict  # known masses [kg] by body name
-    alike: tuple = ()  # groups of joints with the same drive
+    shared_drives: tuple = ()  # groups of joints with the same drive
 
     def fit_moments(self, robot, moments, rows=(), segments=()):
         # rows: the equations, if the regressor needs more than second moments.
         n_required = len(robot.parameter_names_)
-        if self.description is not None and np.isinf(robot.plan.cutoff):
+        if self.body_prior is not None and np.isinf(robot.plan.cutoff):
             # Independent rows (poses) need not determine the described parameters.
-            n_required -= self.description.indices.size
+            n_required -= self.body_prior.indices.size
         check_count(moments, robot.standstill_, n_required)
         zeros = _zero_entries(robot, moments)
         result = estimate(
@@ -214,13 +215,13 @@ class Recipe:
             self.regressor,
             joint_weights=self.joint_weights,
             rows=[piece.zeroed(zeros) for piece in rows],
-            described=self.description is not None,
+            described=self.body_prior is not None,
         )
-        if self.description is not None:
-            result = apply_description(result, self.description, self.bodies)
-        if self.alike:
-            result = pool_joint_values(result, self.alike, robot)
-        if self.description is not None:
+        if self.body_prior is not None:
+            result = apply_description(result, self.body_prior, self.bodies)
+        if self.shared_drives:
+            result = pool_joint_values(result, self.shared_drives, robot)
+        if self.body_prior is not None:
             result = with_positive_rotors(result, robot)
         result = _with_load_uncertainty(result, robot)
         excluded = excluded_columns(robot.features_, robot.effects_)

@@ -31,11 +31,11 @@ from sklearn_vbjfa.fit._arguments import (
     recording_of_arguments,
 )
 from sklearn_vbjfa.fit._between_recordings import between_recordings
-from sklearn_vbjfa.fit._bodies import described_bodies
+from sklearn_vbjfa.fit._bodies import body_prior_of
 from sklearn_vbjfa.fit._estimate import size_of_bodies
 from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, suggests_lag
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
-from sklearn_vbjfa.fit._shared_drives import alike_joints
+from sklearn_vbjfa.fit._shared_drives import shared_drives
 from sklearn_vbjfa.fit._signs import with_signs
 from sklearn_vbjfa.inspection import common_lag, contradicted, inspect_as
 from sklearn_vbjfa.model import DoubtWarning
@@ -378,10 +378,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             joint_weights=self.fit_options.joint_weights,
             projector=self.projector,
             bodies=self.bodies,
-            description=self._description if self.used_gains is None else None,
+            body_prior=self._body_prior if self.used_gains is None else None,
             gains=self._channel_gains,
             masses=self._masses,
-            alike=self._shared_drives,
+            shared_drives=self._shared_drives,
         )
 
     def _declared_robot(self, plan):
@@ -438,12 +438,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         """Replace the parameters of the fitted robot and their status (`known_`)."""
         self._robot = replace(self.robot_, theta_=theta, known_=status)
 
-    def body_prior(self):
-        """Return precision (p, p) and mean (p,) of the prior; None without one."""
-        # In the units of the weighted equations.
-        bodies = self._bodies
-        return None if bodies is None else (bodies.noise * bodies.prior, bodies.centre)
-
     # -- settings and plan -------------------------------------------------------------
 
     def _declare(self, *extra):
@@ -469,8 +463,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         declared += extra
         self.effects_ = with_followers(declared, self.features_)
         self.features_ = self.features_.corrected(self.effects_)
-        self._description = described_bodies(self)
-        self._shared_drives = alike_joints(self)
+        self._body_prior = body_prior_of(self)
+        self._shared_drives = shared_drives(self)
 
     def _prepare(self, recording):
         estimator, parts = None, recording.segments
@@ -504,11 +498,11 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         moments = replace(result.moments, blocks=None, recordings=None)
         self.estimate_ = replace(result, moments=moments)
         self.from_description_ = result.from_description
-        self._bodies = bodies = result.bodies
+        bodies = result.bodies
         self.mass_deviations_ = () if bodies is None else bodies.departures
         if bodies is None:
             gains = fit.robot.gains_
-            self.common_size_ = size_of_bodies(result, self._description, gains)
+            self.common_size_ = size_of_bodies(result, self._body_prior, gains)
         else:
             self.common_size_ = bodies.common_size
         self.alike_ = tuple(x.at(self.theta_) for x in result.alike)

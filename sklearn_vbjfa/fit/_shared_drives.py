@@ -51,7 +51,7 @@ class AlikeValue:
         return replace(self, value=float(theta[list(self.indices)].mean()))
 
 
-def alike_joints(identifier):
+def shared_drives(identifier):
     """Return groups of joints with the same drive, pairs of name and joints."""
     alike = identifier.fit_options.alike
     if alike not in ("auto", None):

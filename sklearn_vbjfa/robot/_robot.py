@@ -74,7 +74,7 @@ class Inputs:
     recording: Recording  # the rows, with their clock
     states: np.ndarray  # (n, 3 * nv): in the band of the fit
     rest: Rest  # velocity signs at rest
-    smoother: object = None  # state estimator; None for given states
+    estimator: object = None  # state estimator; None for given states
 
     def valid_rows(self, standstill):
         """Return rows (n, nv), bool, in which each signal is valid, by its name."""
@@ -83,7 +83,7 @@ class Inputs:
         shape = self.states.shape[0], self.recording.nv
         inner = np.zeros(shape, dtype=bool)
         for part in self.recording.segments:
-            edge = edge_rows(part.stop - part.start, self.smoother, _EDGE_SHARE)
+            edge = edge_rows(part.stop - part.start, self.estimator, _EDGE_SHARE)
             inner[part.start + edge : part.stop - edge] = True
         if self.recording.weight is not None:
             inner &= self.recording.weight > 0
@@ -309,10 +309,10 @@ class IdentifiedRobot:
         names = () if recording.before else recording.group_names
         check_length(recording.segments, lowpass, self.plan.cutoff, names)
         recording = self._on_clock(recording)
-        smoother = self.smoother(recording.inputs, recording.groups)
+        estimator = self.estimator(recording.inputs, recording.groups)
         states, rest = (
-            RecordingStates.of(recording, smoother),
-            self.plan.prediction_rest(smoother),
+            RecordingStates.of(recording, estimator),
+            self.plan.prediction_rest(estimator),
         )
 
         # Weighted rows have the columns of the fit; rows at rest are predicted.
@@ -752,7 +752,7 @@ class IdentifiedRobot:
         clock = check_clock(None, n_samples, dt)
         return clock if time is None or clock is None else clock + time[0]
 
-    def smoother(self, X, groups, *, in_band=False):
+    def estimator(self, X, groups, *, in_band=False):
         """State estimator for X; None if X holds states."""
         # in_band: whether it smooths to the identified band.
         if X.shape[1] == 3 * self.features_.n_joints_:
@@ -764,7 +764,7 @@ class IdentifiedRobot:
 
     def states(self, X, groups):
         """States (n, 3 nv) of positions smoothed as in the fit, or of given states."""
-        estimator = self.smoother(X, groups)
+        estimator = self.estimator(X, groups)
         return X if estimator is None else estimator.transform(X, groups=groups)
 
     def recording(self, X, y=None, groups=None, weight=None, t=None, signals=None):
@@ -780,17 +780,17 @@ class IdentifiedRobot:
 
     def prepare_recording(self, recording):
         inputs, groups = recording.inputs, recording.groups
-        smoother = self.smoother(inputs, groups, in_band=True)
-        states = inputs if smoother is None else smoother.transform(inputs, groups)
-        if smoother is not None:
+        estimator = self.estimator(inputs, groups, in_band=True)
+        states = inputs if estimator is None else estimator.transform(inputs, groups)
+        if estimator is not None:
             # Friction with memory would follow the overshoot of smoother positions.
             nv = inputs.shape[1]
             states[:, :nv] = self.states(inputs, groups)[:, :nv]
         return Inputs(
             recording=self._on_clock(recording),
             states=states,
-            rest=self.plan.prediction_rest(smoother),
-            smoother=smoother,
+            rest=self.plan.prediction_rest(estimator),
+            estimator=estimator,
         )
 
     def _on_clock(self, recording):

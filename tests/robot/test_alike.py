@@ -115,7 +115,8 @@ def test_the_posterior_has_what_is_shared(model, recording):
     robot = fitted(model, recording)
     own = list(value_of(robot, "calf", "rotor_inertia").indices)
     assert np.all(robot.theta_std_[own] < free.theta_std_[own])
-    precision, centre = robot.body_prior()
+    bodies = robot.estimate_.bodies
+    precision, centre = bodies.weighted_prior, bodies.centre
     along = precision[np.ix_(own, own)]
     # The mean is free, the differences are not.
     assert along @ np.ones(4) == pytest.approx(0.0, abs=1e-6 * np.abs(along).max())

@@ -87,12 +87,12 @@ class RecordingMoments:
         # Prior of the bodies, from the description: precision (p, p), times mean (p,).
         p, rigid = Phi.shape[2], slice(self.features.n_parameters_)
         self._prior = np.zeros((p, p)), np.zeros(p)
-        if (described := fit.identifier.body_prior()) is not None:
+        if (bodies := fit.identifier.estimate_.bodies) is not None:
             fitted = fit.identifier.robot_.joint_weights[self.used]
             ratio = np.mean(self.view.precision[self.used] / fitted)
-            metric = described[0][rigid, rigid] * ratio
+            metric = bodies.weighted_prior[rigid, rigid] * ratio
             self._prior[0][rigid, rigid] = metric
-            self._prior[1][rigid] = metric @ described[1][rigid]
+            self._prior[1][rigid] = metric @ bodies.centre[rigid]
 
     def _moments(self, rows, weight, part):
         """Compute moments of weighted rows, for each part (n_parts, k, k)."""

@@ -13,7 +13,7 @@ from sklearn_vbjfa.inspection import _scene as scene
 from sklearn_vbjfa.inspection import _torques as torques
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
 from sklearn_vbjfa.inspection._positions import implausible_speed
-from sklearn_vbjfa.inspection._reading import Change, Reading, long_parts, subsample
+from sklearn_vbjfa.inspection._reading import Change, Reading, subsample
 from sklearn_vbjfa.inspection._rows import CHECKS, Rows, shuffled_rows, wrong_states
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.model import joint_names, load_folded, movable_joints
@@ -222,9 +222,7 @@ def inspect_channels(
     # nv): zero for samples to ignore; timed: whether messages give times, since rows
     # may be interpolated; known: further fields of `Reading`.
     robot, dt, poses = load_folded(model), check_dt(dt), known.get("poses")
-    # Column-major order, since channels are processed one by one.
-    q, tau = (np.asarray(x, dtype=float, order="F") for x in (q, tau))
-    names = joint_names(robot.model)
+    names, (q, tau) = joint_names(robot.model), (np.asarray(x, float) for x in (q, tau))
     if q.shape != tau.shape or q.shape[1:] != (len(names),):
         raise ValueError(
             f"q and tau must both have shape (n_samples, {len(names)}), one column for "
@@ -234,14 +232,12 @@ def inspect_channels(
     groups = None if single else groups
     all_parts = contiguous_groups(groups, len(q))
     shuffled = [] if single else shuffled_rows(names, q, all_parts)
-    least = 1 if single else number.MIN_SAMPLES
-    rows, parts = long_parts(len(q), groups, least)
+    rows, parts = subsample(all_parts, least=1 if single else number.MIN_SAMPLES)
     if shuffled or not parts:
         return findings_in_order(shuffled)
-    if len(rows) < len(q):
-        q, tau = q[rows], tau[rows]
-    starts = [x.start for x in all_parts if x.stop - x.start >= least]
-    recordings = recording_names(groups, starts)
+    # Column-major order, since channels are processed one by one.
+    q, tau = (np.asfortranarray(x[rows]) for x in (q, tau))
+    recordings = recording_names(groups, rows[[part.start for part in parts]])
 
     def place(row):
         if not timed:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection._reading import filter_signals, long_parts
+from sklearn_vbjfa.inspection._reading import filter_signals, subsample
 from sklearn_vbjfa.inspection._rows import still_joints
 from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
 
@@ -31,10 +31,8 @@ def motion_of(recording, model=None):
     # model: None is `Recording.robot_model`. The tuple is empty if every recording is
     # shorter than the low-pass filter.
     model = load_model(recording.robot_model() if model is None else model)
-    rows, parts = long_parts(recording.n_samples, recording.groups)
-    q, tau = recording.q, recording.tau
-    if len(rows) < len(q):
-        q, tau = q[rows], tau[rows]
+    rows, parts = subsample(recording.segments, least=number.MIN_SAMPLES)
+    q, tau = recording.q[rows], recording.tau[rows]
     usable = np.ones(q.shape, dtype=bool)
     signals = filter_signals(q, tau, recording.dt, parts, usable) if parts else None
     if signals is None:

@@ -12,7 +12,6 @@ from sklearn_vbjfa._core import _lowpass, _smoothing
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._likelihood import Bodies, DescribedRobot, under_gravity
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.recording import contiguous_groups
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,15 +117,10 @@ class Signals:
         return Signals(*arrays, self.few)
 
 
-def long_parts(n, groups, least=number.MIN_SAMPLES):
-    """Rows of the recordings that are long enough, and the slice of each in them."""
-    parts = contiguous_groups(groups, n)
-    return subsample([x for x in parts if x.stop - x.start >= least], 1)
-
-
-def subsample(parts, k):
-    """Every k-th row of recordings, and the slice of each recording in these."""
-    rows = [np.arange(part.start, part.stop, k) for part in parts]
+def subsample(parts, k=1, least=0):
+    """Every k-th row of long recordings, and the slice of each recording in these."""
+    long = [part for part in parts if part.stop - part.start >= least]
+    rows = [np.arange(part.start, part.stop, k) for part in long]
     stops = np.cumsum([0, *map(len, rows)]).tolist()
     parts = [slice(a, b) for a, b in pairwise(stops)]
     return np.concatenate([np.arange(0), *rows]), parts
@@ -262,7 +256,7 @@ class Reading:
         return self.measured and bool(near.all())
 
     def select_parts(self, numbers, alone=False):
-        rows, parts = subsample([self.parts[k] for k in numbers], 1)
+        rows, parts = subsample([self.parts[k] for k in numbers])
         channels = {x: getattr(self, x)[rows] for x in ("q", "tau", "usable")}
         channels["recordings"] = tuple(self.recordings[k] for k in numbers)
         return replace(self, **channels, parts=parts, alone=alone)

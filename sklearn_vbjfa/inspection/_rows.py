@@ -21,8 +21,8 @@ from sklearn_vbjfa.recording import (
 class Rows:
     """Rows of a log, and the faults that checks find in them."""
 
-    # q [rad or m], tau [N m or N] (n, nv): unwrapped, and interpolated over lost rows,
-    # by the first checks; parts: slices of all rows; place: the text of a row's place.
+    # q [rad or m], tau [N m or N] (n, nv), which the checks change: they unwrap them
+    # and interpolate lost rows; parts: slices of all rows; place: text of a row.
 
     def __init__(self, robot, names, q, tau, dt, parts, place):
         self.robot, self.revolute = robot, ~is_prismatic(robot.model)
@@ -43,9 +43,22 @@ class Rows:
         return still_joints(self.q, self.parts)
 
     @functools.cached_property
+    def moves(self):
+        """Rows in which each joint moves, ndarray (n, nv) of bool."""
+        moves = np.zeros(self.q.shape, dtype=bool)
+        for part in self.parts:
+            q = self.q[part]
+            width = max(2, min(20, len(q) // 8))
+            travel = np.zeros(q.shape)
+            travel[width:-width] = np.abs(q[2 * width :] - q[: -2 * width])
+            high = np.maximum(np.quantile(travel, 0.99, axis=0), 1e-300)
+            moves[part] = travel > 0.02 * high
+        return moves
+
+    @functools.cached_property
     def moving(self):
         """Rows in which any joint moves, ndarray (n,) of bool."""
-        return self.rows_in_motion(self.q)
+        return self.moves.any(axis=1)
 
     def steps(self, x):
         """Return differences to the row before, zero where a recording begins."""
@@ -65,18 +78,6 @@ class Rows:
         """Whether two rows exist and belong to the same recording."""
         inside = 0 <= first and last < len(self.label)
         return inside and self.label[first] == self.label[last]
-
-    def rows_in_motion(self, x):
-        """Return the rows (n,) in which any channel of x (n, m) moves."""
-        moving = np.zeros(len(x), dtype=bool)
-        for part in self.parts:
-            y = x[part]
-            width = max(2, min(20, len(y) // 8))
-            travel = np.zeros(y.shape)
-            travel[width:-width] = np.abs(y[2 * width :] - y[: -2 * width])
-            high = np.maximum(np.quantile(travel, 0.99, axis=0), 1e-300)
-            moving[part] = (travel > 0.02 * high).any(axis=1)
-        return moving
 
     def report(self, kind, joints, severity, runs=(), **facts):
         """Add a finding, optionally on runs of rows (first, last)."""
@@ -130,7 +131,6 @@ def _check_wraps(log):
         jumps = {j: rows for j, rows in jumps.items() if rows.size}
         if not jumps:
             continue
-        log.q = log.q.copy()
         for j in jumps:
             log.q[:, j] = _unwrapped(log, log.q[:, j], turn)
         rows = np.concatenate(list(jumps.values()))
@@ -337,7 +337,6 @@ def _report_lost(log, kind, runs, severity):
     # Interpolation is accurate in short gaps only.
     gaps = [(max(a - 1, 0), b + 1) for a, b in runs if b - a >= number.NEAR_ROWS]
     log.usable[_mask(log.q, gaps)] = False
-    log.q, log.tau = log.q.copy(), log.tau.copy()
     for part in log.parts:
         good, bad = rows[part][~lost[part]], rows[part][lost[part]]
         for x in (*log.q.T, *log.tau.T) if good.size else ():
@@ -398,7 +397,7 @@ def _find_dropouts(log, j, x):
     required = max(number.DROPOUT_STEP * typical, number.LEAST_DROPOUT * x.std())
     jumps, long = np.r_[step > required, False], []
     # A zero is lost amid values of the same sign, if no other value is as frequent.
-    moving, beyond = log.rows_in_motion(log.q[:, [j]]), np.pad(np.sign(x), 1)
+    moving, beyond = log.moves[:, j], np.pad(np.sign(x), 1)
     zero = (x == 0) & moving
     lost = zero & jumps[:-1] & jumps[1:] & (beyond[2:] * beyond[:-2] > 0)
     _, sizes = np.unique(x[moving & ~zero], return_counts=True)
@@ -464,7 +463,7 @@ def _find_clipped(log, j, x, moving, mean=1):
         close = (distance <= width) & moving
         if level == 0:
             # One sign was lost, unless at rest, or only some readings were lost.
-            close &= log.rows_in_motion(log.q[:, [j]])
+            close &= log.moves[:, j]
             close &= close.mean() > number.STUCK_REPEATS
         # Noise divides a plateau.
         close = scipy.ndimage.binary_closing(close, np.ones(2 * mean - 1))
@@ -503,17 +502,15 @@ def _check_positions(log):
     for j in np.flatnonzero(~log.still):
         if stands is not None:
             log.usable[_find_stuck(log, j, stands)] = False
-        every = _find_jumps(log.q[:, j], log.parts)
-        jumps = [k for k in every if log.usable[k].any()]
-        log.findings += _jump_findings(log.names, j, log.q[:, j], jumps, log.place)
-        log.usable[_mask(log.q, [(max(k - 2, 0), k + 1) for k in jumps])] = False
-        log.q = log.q.copy() if jumps else log.q
-        for first, last, back in _jumps_together(log.q[:, j], every):
-            if not back:
-                log.jumps.append(first)
-            elif first in jumps:
-                wrong, ends = np.arange(first, last), [first - 1, last]
-                log.q[wrong, j] = np.interp(wrong, ends, log.q[ends, j])
+        x, jumps = log.q[:, j], _find_jumps(log.q[:, j], log.parts)
+        log.jumps += [first for first, _, back in jumps if not back]
+        jumps = [jump for jump in jumps if log.usable[jump[0]].any()]
+        log.findings += _jump_findings(log.names, j, x, jumps, log.place)
+        near = [(max(first - 2, 0), last + 1) for first, last, _ in jumps]
+        log.usable[_mask(x, near)] = False
+        for first, last, _ in (jump for jump in jumps if jump[2]):
+            rows, ends = np.arange(first, last), [first - 1, last]
+            x[rows] = np.interp(rows, ends, x[ends])
 
 
 def _find_standstill(log):
@@ -570,16 +567,16 @@ def _find_stuck(log, j, stands):
 def disorder(names, q, parts):
     """Find positions (n, nv) out of time order, or else jumps between recordings."""
     # Column-major order, since signals are processed one by one.
-    jumps, q = [], np.asfortranarray(q)
+    findings, q = [], np.asfortranarray(q)
     for j, x in enumerate(q.T):
-        jumps += _jump_findings(names, j, x, _find_jumps(x, parts), "row {}".format)
-    borders = [x for x in jumps if x.severity != "note"]
-    return shuffled_rows(names, q, parts) or borders
+        findings += _jump_findings(names, j, x, _find_jumps(x, parts), "row {}".format)
+    lasting = [x for x in findings if x.severity != "note"]
+    return shuffled_rows(names, q, parts) or lasting
 
 
 def _find_jumps(x, parts):
-    """Return the rows after steps of a position that its neighbours contradict."""
-    jumps, least = [], number.LEAST_JUMP * np.ptp(x)
+    """List first and last row of jumps of a position, and whether it returns."""
+    rows, least = [], number.LEAST_JUMP * np.ptp(x)
     for part in parts:
         step = np.diff(x[part])
         # Interpolated, a jump takes two steps.
@@ -595,38 +592,34 @@ def _find_jumps(x, parts):
         scale = max(middle / 0.6745, high / 1.645, np.finfo(float).tiny)
         is_jump = (excess > number.OUTLIER * scale) & (excess > least)
         is_jump &= excess > 2.5 * np.abs(expected)
-        jumps += list(part.start + 4 + np.flatnonzero(is_jump))
+        rows += list(part.start + 4 + np.flatnonzero(is_jump))
+    step = np.diff(x, prepend=x[:1])
     # Many jumps far beyond the resolution are between blocks of rows.
-    far = len(jumps) and np.median(np.abs(np.diff(x)[np.array(jumps) - 1])) > 10 * least
-    return jumps if far or len(jumps) <= number.MOST_OUTLIERS * x.size else []
+    many = len(rows) > number.MOST_OUTLIERS * x.size
+    if not rows or (many and np.median(np.abs(step[rows])) <= 10 * least):
+        return []
+    jumps, apart = [], np.flatnonzero(np.diff(rows) > number.NEAR_ROWS) + 1
+    for near in np.split(rows, apart):
+        # Wrong samples are jumps there and back.
+        first, last = int(near[0]), int(near[-1])
+        shift = step[first : last + 2] - 0.5 * (step[first - 1] + step[last + 2])
+        back = bool(abs(shift.sum()) <= 0.5 * abs(shift).max())
+        jumps.append((first, max(last, first + back), back))
+    return jumps
 
 
 def _jump_findings(names, j, x, jumps, place):
-    """Return the finding on jumps of a position at some rows, or no finding."""
+    """Return the finding on jumps of a position, or no finding."""
     if not jumps:
         return []
-    groups = [back for *_, back in _jumps_together(x, jumps)]
-    lasting = groups.count(False)
-    step = x[jumps[0]] - x[jumps[0] - 1]
-    facts = {"count": len(jumps), "step": step, "place": place(jumps[0])}
+    k, lasting = jumps[0][0], sum(not back for *_, back in jumps)
+    facts = {"count": len(jumps), "step": x[k] - x[k - 1], "place": place(k)}
+    severity, kind = "warning", "position_jumps"
     if lasting >= number.FEWEST_STEPS:
-        return [finding("shuffled_rows:blocks", names, j, "error", **facts)]
-    kind = "position_jumps" if lasting else "position_jumps:outliers"
-    severity = "warning" if lasting else "note"
-    return [finding(kind, names, j, severity, **facts | {"groups": len(groups)})]
-
-
-def _jumps_together(x, jumps):
-    """List first and last row of near jumps, and whether the position returns."""
-    # Wrong samples are jumps there and back.
-    groups, step = [], np.diff(x, prepend=x[:1])
-    apart = np.flatnonzero(np.diff(jumps) > number.NEAR_ROWS) + 1
-    for rows in np.split(jumps, apart) if jumps else ():
-        first, last = int(rows[0]), int(rows[-1])
-        shift = step[first : last + 2] - 0.5 * (step[first - 1] + step[last + 2])
-        back = bool(abs(shift.sum()) <= 0.5 * abs(shift).max())
-        groups.append((first, max(last, first + back), back))
-    return groups
+        severity, kind = "error", "shuffled_rows:blocks"
+    elif not lasting:
+        severity, kind = "note", "position_jumps:outliers"
+    return [finding(kind, names, j, severity, **facts)]
 
 
 def wrong_states(recording):

@@ -72,7 +72,7 @@ SENTENCES = {
     "({count} rows, the first at {place}): the encoder was stuck. Leave them out.",
     "position_jumps": "The position of {who} jumps {count} time(s), first {step:.3g} "
     "at {place}. Split the recording there (groups), or leave wrong samples out.",
-    "position_jumps:outliers": "The position of {who} has wrong samples at {groups} "
+    "position_jumps:outliers": "The position of {who} has wrong samples at {count} "
     "place(s), the first at {place}, by {step:.3g}. Leave these rows out.",
     "copied_position": _COPIED,
     "copied_torque": _COPIED,

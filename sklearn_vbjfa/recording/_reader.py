@@ -300,24 +300,20 @@ def read_recording(
     if not paths:
         raise ValueError("path must name one file or more, got none.")
     notes: list[str] = []
-    if join:
-        tables = [x for p in paths for x in _read_tables(p, options, notes)]
-        files = [read_rows(join_tables(tables, options.joints), options)]
-    else:
-        try:
-            files = _read_files(paths, options, notes)
-        except RecordingRefused as error:
-            if len(paths) > 1 and error.options:
-                # Options suggested for one file must be able to read the others, too.
-                try:
-                    _read_files(paths, replace(options, **error.options), [])
-                except RecordingRefused as other:
-                    # An error that no option corrects is reported first.
-                    if not other.options:
-                        raise
-                    reason = f"{error.reason}; other files are not so: convert those"
-                    raise RecordingRefused(f"{reason} that differ.") from other
-            raise
+    try:
+        files = _read_files(paths, join, options, notes)
+    except RecordingRefused as error:
+        if len(paths) > 1 and error.options and not join:
+            # Options suggested for one file must be able to read the others, too.
+            try:
+                _read_files(paths, join, replace(options, **error.options), [])
+            except RecordingRefused as other:
+                # An error that no option corrects is reported first.
+                if not other.options:
+                    raise
+                reason = f"{error.reason}; other files are not so: convert those"
+                raise RecordingRefused(f"{reason} that differ.") from other
+        raise
     several = len(files) > 1 or not (join or isinstance(path, (str, PathLike)))
     recording = _combine(files, several, options.urdf, notes)
     if options.drive is not None:
@@ -368,17 +364,17 @@ def _read_tables(path, options, notes):
     return tables
 
 
-def _read_files(paths, options, notes):
+def _read_files(paths, join, options, notes):
     """Return the rows of each recording; incomplete files of a folder are joined."""
-    files = []
-    for path in counted(paths, "reading file", len(paths)):
-        tables = _read_tables(path, options, notes)
+    files, groups = [], [paths] if join else [[path] for path in paths]
+    for group in counted(groups, "reading file", len(groups)):
+        tables = [x for path in group for x in _read_tables(path, options, notes)]
         complete = (x for x in tables if len(tables) > 1 and is_recording(x, options))
-        if len([*itertools.islice(complete, 2)]) < 2:
+        if join or len([*itertools.islice(complete, 2)]) < 2:
             tables = [join_tables(tables, options.joints)]
         else:
             what = f"a folder of {len(tables)} recordings, one a file"
-            notes.append(f"{path} is taken as {what}.")
+            notes.append(f"{group[0]} is taken as {what}.")
         files += [read_rows(tables.pop(0), options) for _ in range(len(tables))]
     return files
 

@@ -1,6 +1,5 @@
 """Conversion of a table to rows of a recording, or an error that suggests options."""
 
-import itertools
 import re
 from dataclasses import replace
 
@@ -33,7 +32,6 @@ from sklearn_vbjfa.recording._table import (
     usual_step,
 )
 
-_MAX_TRIALS = 20
 _CHANNELS = {"q": "positions", "tau": "torques", "q_desired": "desired positions"}
 
 
@@ -83,14 +81,12 @@ def _refuse_rows_by_joint(table):
 
 def _suggestion(table, options, near):
     """Return options with which the file can be read, by the nearest columns, or {}."""
-    # near: nearest patterns by kind. If several combinations work, none is suggested.
-    suggestions = []
-    for patterns in itertools.islice(itertools.product(*near.values()), _MAX_TRIALS):
-        mapping = options.columns | dict(zip(near, patterns))
-        columns = ",".join(f"{key}={x}" for key, x in mapping.items())
-        suggestions.append(_try_columns(table, options, columns))
-    suggestions = [x for x in suggestions if x]
-    return suggestions[0] if len(suggestions) == 1 else {}
+    # near: nearest patterns by kind; the choice must be unique.
+    if any(len(patterns) != 1 for patterns in near.values()):
+        return {}
+    mapping = options.columns | {kind: pattern for kind, (pattern,) in near.items()}
+    columns = ",".join(f"{key}={pattern}" for key, pattern in mapping.items())
+    return _try_columns(table, options, columns)
 
 
 def _try_columns(table, options, columns, **more):

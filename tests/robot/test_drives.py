@@ -141,9 +141,8 @@ def test_estimated_velocities_have_the_lag_of_recorded_ones():
     lagged = np.column_stack([states(t - x)[1][:, j] for j, x in enumerate(lag)])
     noise = 0.02 * np.random.default_rng(0).normal(size=v.shape)
     recording = take_arrays(q, 0.0 * q, dt=0.005, joint_names=NAMES)
-    signals = {"q_desired": q, "v_desired": v}
-    recording = replace(recording, v=lagged + noise, signals=signals)
-    driven = PDDrive(0.0, 1.0).driven(recording)
+    recording.signals.update(q_desired=q, v_desired=v)
+    driven = PDDrive(0.0, 1.0).driven(replace(recording, v=lagged + noise))
     estimate = driven.command - driven.tau
     error = np.sqrt(((estimate - lagged)[50:-50] ** 2).mean(axis=0))
     unfiltered = np.sqrt(((v - lagged)[50:-50] ** 2).mean(axis=0))

@@ -32,19 +32,20 @@ def stop_and_go(rng, moves=24):
     return np.array(q)[:, None]
 
 
-@pytest.mark.parametrize("memory", [True, False])
-def test_torque_at_rest_identifies_friction_with_memory(memory):
+@pytest.mark.parametrize("law", ["memory", "static", "held"])
+def test_torque_at_rest_identifies_friction_with_memory(law):
     rng = np.random.default_rng(3)
     q = stop_and_go(rng)
     v = np.gradient(q, DT, axis=0)
     states = np.hstack([q, v, np.gradient(v, DT, axis=0)])
     friction = SIZE * stops_sample_by_sample(q[:, 0], REACH)
-    if not memory:
-        # Static friction: any torque within the limits.
+    if law != "memory":
+        # Any torque within the limits, or on the side of the last motion.
         still = np.abs(v[:, 0]) < 1e-9
         rest = np.cumsum(np.diff(still, prepend=False) & still)
-        static = rng.uniform(-SIZE, SIZE, rest[-1] + 1)
-        friction = np.where(still, static[rest], SIZE * np.sign(v[:, 0]))
+        share = rng.uniform(-1 if law == "static" else 0, 1, rest[-1] + 1)
+        last = np.maximum.accumulate(np.where(still, 0, np.arange(len(q))))
+        friction = SIZE * np.sign(v[last, 0]) * np.where(still, share[rest], 1.0)
     model = arm("Y")
     tau = inverse_dynamics(model, states) + 0.5 * v + friction[:, None]
     tau += 0.05 * rng.normal(size=tau.shape)
@@ -52,8 +53,8 @@ def test_torque_at_rest_identifies_friction_with_memory(memory):
         RobotIdentifier(model, dt=DT), effects=["maxwell_slip", "stribeck"]
     )
     loop.fit(q + 2e-5 * rng.normal(size=q.shape), tau)
-    assert named(loop) == [("maxwell_slip", 0)] * memory
-    if memory:
+    assert named(loop) == [("maxwell_slip", 0)] * (law == "memory")
+    if law == "memory":
         # Rows at rest count in both errors.
         assert (loop.error_after_ < 0.1 * loop.error_before_).all()
     else:

@@ -211,30 +211,28 @@ def _can_replace(stepwise, candidate, fit, i, log_odds):
 
 def _friction_at_rest(view, library, settings):
     """Return the joints with presliding friction at rest, a set."""
-    # Held dry friction takes any value within its limits, which presliding friction
-    # explains in part. It must leave little more torque at rest than in motion, or a
-    # small share of that of the declared terms, which predict no friction at rest.
+    # Dry friction holds a joint by any torque within its limits, which presliding
+    # friction explains in part. Unless the motion shows it, too, it must leave little
+    # more torque at rest than in motion.
     banks = [effect for effect in library if isinstance(effect, Bank)]
     resting = set(view.at_rest()) if banks else set()
-    if resting:
-        fit = StepwiseSearch(view, banks, settings).forward_selection()
-        moving = HeldOutFit(HeldOut(view, view.blocks.fold), fit).residual
-        noise = (moving**2).sum(axis=1) / np.maximum(view.rows, 1.0)
-    while resting:
+    if not resting:
+        return resting
+    fit = StepwiseSearch(view, banks, settings).forward_selection()
+    residual = HeldOutFit(HeldOut(view, view.blocks.fold), fit).residual
+    noise = (residual**2).sum(axis=1) / np.maximum(view.rows, 1.0)
+    shown = slip_joints(member.effect for member in fit.members)
+    while uncertain := resting - shown:
         rested = view.with_rest(resting)
-        stepwise = StepwiseSearch(rested, banks, settings)
-        data = HeldOut(rested, rested.blocks.fold)
-        fit = stepwise.forward_selection()
+        fit = StepwiseSearch(rested, banks, settings).forward_selection()
         found = slip_joints(member.effect for member in fit.members)
+        residual = HeldOutFit(HeldOut(rested, rested.blocks.fold), fit).residual
         weight = rested.root.T**2
         at_rest = 1.0 - view.root.T**2 / np.where(weight > 0, weight, 1.0)
-        left, before = (
-            (at_rest * HeldOutFit(data, x).residual ** 2).sum(axis=1)
-            for x in (fit, stepwise.fit_declared())
-        )
+        left = (at_rest * residual**2).sum(axis=1)
         usual = settings.known**2 * noise * (rested.rows - view.rows)
-        excess = left / (usual + settings.min_gain * before)
-        worst = max(resting, key=lambda j: (j not in found, excess[j]))
+        excess = left / np.maximum(usual, np.finfo(float).tiny)
+        worst = max(uncertain, key=lambda j: (j not in found, excess[j]))
         if worst in found and excess[worst] <= 1.0:
             break
         resting.remove(worst)

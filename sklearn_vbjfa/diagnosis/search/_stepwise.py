@@ -220,7 +220,7 @@ class StepwiseSearch:
             # Terms of second order would resemble further effects.
             new = updated
         for k in range(len(kept)):
-            new = self._without_contained(new, first + k)
+            new = self._without_similar(new, first + k)
         return self._pruned(new)
 
     def _member(self, fit, candidate):
@@ -257,17 +257,21 @@ class StepwiseSearch:
                 break
         return probable, fit
 
-    def _without_contained(self, fit, i):
-        """Drop effects that a member contains if it does as well without them."""
-        # Its shape was fitted to the residual of these effects.
+    def _without_similar(self, fit, i):
+        """Drop effects like a member if it does as well without them."""
+        # Its shape was fitted to the residual of these effects: those that it contains,
+        # and those that depend on the same.
         if i >= len(fit.members):
             return fit
         member = fit.members[i]
         names, joint = closure(member.effect, self.library), member.effect.joint
+        depends = member.effect.depends or None
         kept = [
             m
             for m in fit.members
-            if m.effect.joint != joint or m.effect.name not in names
+            if m.effect.joint != joint
+            or m is member
+            or not (m.effect.name in names or m.effect.depends == depends)
         ]
         if len(kept) == len(fit.members):
             return fit

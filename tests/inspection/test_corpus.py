@@ -3,8 +3,15 @@
 The same faults are put into measured recordings if these are available.
 """
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+from _undeclared import simulate
 
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa.datasets import make_robot_recording
@@ -229,3 +236,10 @@ def test_faults_in_measured_recordings_are_reported(measured_data_home, name):
     log = recording.robot_model(), recording.q[rows], recording.tau[rows], recording.dt
     for label in SAMPLES:
         assert graves(*put(label, log, 3)), label
+
+
+def test_unmodelled_torque_is_no_driving_friction():
+    kinds, sizes = ["payload", "backlash"], [2.734042, 5.665245]
+    log = simulate(kinds, size=sizes, seed=(482, 1, 15))
+    findings = inspect_channels(log.model, log.q, log.tau, log.dt)
+    assert [x for x in findings if x.severity == "error"] == []

@@ -244,11 +244,11 @@ def driving_friction(reading):
     # Early torques, which are tested as a lag, have the same effect.
     robot = reading.robot
     fits = robot.baseline, robot.fit(columns=-robot.signals.slope[:, :, None])
-    # Unmodelled torque resembles friction that is not larger.
+    # Friction must be larger than unmodelled torque, such as of elastic joints.
     n = np.array([robot.rows[j].size for j in robot.joints]) / robot.times[robot.joints]
-    least = np.maximum(number.SIGMAS, np.sqrt(n))
-    drives = np.all([fit.power < -least for fit in fits], axis=0)
-    reverse = "the rows are in reverse order of time, or " * bool(drives.all())
+    drives = np.all([fit.power < -number.SIGMAS - np.sqrt(n) for fit in fits], axis=0)
+    no_brake = (robot.baseline.power < number.SIGMAS).all()
+    reverse = "the rows are in reverse order of time, or " * bool(no_brake)
     joints, facts = tuple(robot.joints[drives].tolist()), {"reverse": reverse}
     return Proposal(joints=joints, log_odds=np.inf, facts=facts) if joints else None
 

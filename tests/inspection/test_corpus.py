@@ -238,8 +238,14 @@ def test_faults_in_measured_recordings_are_reported(measured_data_home, name):
         assert graves(*put(label, log, 3)), label
 
 
-def test_unmodelled_torque_is_no_driving_friction():
-    kinds, sizes = ["payload", "backlash"], [2.734042, 5.665245]
-    log = simulate(kinds, size=sizes, seed=(482, 1, 15))
+@pytest.mark.parametrize(
+    ("effects", "seed"),
+    [
+        ({"payload": 2.734042, "backlash": 5.665245}, (482, 1, 15)),
+        ({"jerk": 6.0}, (485, 0, 18)),
+    ],
+)
+def test_unmodelled_torque_is_no_driving_friction(effects, seed):
+    log = simulate([*effects], size=[*effects.values()], seed=seed)
     findings = inspect_channels(log.model, log.q, log.tau, log.dt)
     assert [x for x in findings if x.severity == "error"] == []

@@ -55,9 +55,14 @@ def held_out_errors(discovery, result, split, thinned, whole):
         pairs = ((x[model], x[completed]) for x in (held_out, searched))
         return error_intervals(*pairs, spread, view.step)
 
-    used_rows = zip(np.abs(held_out[completed].residual).T, weight.T > 0)
-    sizes = (size[rows] for size, rows in used_rows)
-    thresholds = [np.quantile(x, _QUANTILE) if x.size else np.nan for x in sizes]
+    # The held-out part alone has too few samples for the quantile.
+    parts = held_out[completed], searched[completed]
+    size = np.concatenate([np.abs(x.residual) for x in parts])
+    moving = np.concatenate([x.weight > 0 for x in parts])
+    sizes = (x[rows] for x, rows in zip(size.T, moving.T))
+    thresholds = [
+        np.quantile(x, _QUANTILE, method="higher") if x.size else np.nan for x in sizes
+    ]
     # A weight is largest in rows whose whole filter window is in motion.
     full = np.maximum(weight.max(axis=0), np.finfo(float).tiny)
     seconds = (weight / full).sum(axis=0) * view.step

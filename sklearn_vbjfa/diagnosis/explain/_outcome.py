@@ -54,7 +54,8 @@ class JointErrors:
     # "after", and of after minus before ("difference") and after minus plain ("added")
     intervals: dict
     spread: float = math.nan  # standard deviation of the torque in motion [unit]
-    threshold: float = math.nan  # 99.9 % quantile of |residual "after"| [unit]
+    # 99.9 % quantile of |residual "after"| in the whole recording [unit]
+    threshold: float = math.nan
     seconds: float = math.nan  # held-out time in which the joint moves [s]
     enough: bool = True  # whether that suffices for a verdict
     searched: bool = True  # whether its channels carry enough information

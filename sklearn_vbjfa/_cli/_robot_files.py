@@ -15,8 +15,7 @@ ROBOT_FILES: tuple[str, ...] = (
     "identified.xml",
     "identified.json",
 )
-_COLUMNS = ["parameter", "value", "unit", "std", "identifiable", "description"]
-_COLUMNS += ["scatter"]
+_COLUMNS = "parameter value unit std identifiable description scatter".split()
 
 
 def write_robot(robot, folder):

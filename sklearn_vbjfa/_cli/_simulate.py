@@ -99,9 +99,8 @@ def _recording(arguments, robot, folder):
             f"{'leave --gain out' if has_gains else 'give the factors (--gain)'}."
         )
     gains = "unknown" if has_gains else arguments.gain
-    given = arguments, urdf, arguments.joints or names, gains
     try:
-        recording = _input.read(*given)
+        recording = _input.read(arguments, urdf, arguments.joints or names, gains)
     except ValueError as error:
         reason = f"{error}{' (read with the options of the report)' if taken else ''}"
         raise Refused(reason, **getattr(error, "options", {})) from error

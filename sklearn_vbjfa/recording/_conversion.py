@@ -37,7 +37,7 @@ _CHANNELS = {"q": "positions", "tau": "torques", "q_desired": "desired positions
 
 def _refusal(table, layout, options, robot, missing):
     """Return the error that lists all missing channels and suggests options."""
-    _refuse_rows_by_joint(table)
+    _refuse_rows_by_joint(table, layout)
     candidates = {kind: _near_patterns(table, kind, robot.names) for kind in missing}
     parts = []
     if layout.joints and layout.joints != robot.names:
@@ -48,7 +48,11 @@ def _refusal(table, layout, options, robot, missing):
         if kind == "t":
             text = "no time: expected a column t [s], or the period dt [s] (--dt 0.002)"
         parts.append(f"{text}{f' (nearest: {listed(names)})' if names else ''}")
-    suggested = _suggestion(table, options, candidates)
+    suggested = {}
+    if all(len(names) == 1 for names in candidates.values()):
+        mapping = options.columns | {x: names[0] for x, names in candidates.items()}
+        columns = ",".join(f"{key}={pattern}" for key, pattern in mapping.items())
+        suggested = _try_columns(table, options, columns)
     if missing[0] == "tau" and not candidates["tau"]:
         parts.append(
             "if the motors follow commands, give the drive, drive=... (command line: "
@@ -67,26 +71,23 @@ def _refusal(table, layout, options, robot, missing):
     return RecordingRefused(f"{table.path}: {'; '.join(parts)}.", suggested)
 
 
-def _refuse_rows_by_joint(table):
+def _refuse_rows_by_joint(table, layout):
     """Refuse tables whose rows name their joint in a column, in turn."""
+    # Such tables have one column of positions and one of torques.
+    if len(layout.select("q")) > 1 or len(layout.select("tau")) > 1:
+        return
     for name in table.frame:
         values = table.values(name)
         n = len(set(values))
-        if 1 < n < len(values) / 2 and (values[n:] == values[:-n]).all():
+        # Joints are numbered in steps of one, but fractions of a second are not.
+        numbered = values.dtype.kind not in "iuf" or np.ptp(values) == n - 1
+        if not numbered or not 1 < n < min(len(values) / 2, _MOST_JOINTS):
+            continue
+        if (values[n:] == values[:-n]).all():
             raise RecordingRefused(
                 f"{table.path}: each row is of one joint (column {name!r}): write one "
                 "row per sample, with the columns q1, ..., tau1, ... instead."
             )
-
-
-def _suggestion(table, options, near):
-    """Return options with which the file can be read, by the nearest columns, or {}."""
-    # near: nearest patterns by kind; the choice must be unique.
-    if any(len(patterns) != 1 for patterns in near.values()):
-        return {}
-    mapping = options.columns | {kind: pattern for kind, (pattern,) in near.items()}
-    columns = ",".join(f"{key}={pattern}" for key, pattern in mapping.items())
-    return _try_columns(table, options, columns)
 
 
 def _try_columns(table, options, columns, **more):
@@ -149,6 +150,8 @@ def _patterns(table, joints):
             yield name
 
 
+# Maximum number of joints of a robot.
+_MOST_JOINTS = 100
 # Largest plausible position [rad or m], velocity or torque [N m or N].
 _LARGEST = 1e12
 
@@ -211,7 +214,7 @@ def _sort_roles(table, layout, used, options, robot, notes):
         ordered[kind] = [roles[key] for key in keys]
     names = names or tuple(f"joint_{k + 1}" for k in range(count))
     if len(names) != count:
-        _refuse_rows_by_joint(table)
+        _refuse_rows_by_joint(table, layout)
         fewer = count < len(names) and not robot.explicit
         raise RecordingRefused(
             f"{table.path}: {count} column(s) q for {len(names)} joint(s) "
@@ -256,6 +259,11 @@ def read_rows(table, options) -> FileRows:
     table = merge_sources(table, used, notes)
     table, rows = remove_odd_rows(table, used, options, notes)
     roles, names = _sort_roles(table, layout, used, options, robot, notes)
+    for role in roles["q"][:1]:
+        # The name of a joint is no evidence.
+        if "command" in kinds_in(role.column.replace(f"{role.key}", "")):
+            what = "seems to be commanded; measured positions are needed."
+            notes.append(Loss(f"column {role.column!r} {what}"))
     channels, units = _convert_units(table, roles, options, notes)
     prismatic = _check_units(table, roles, units, names, robot)
     si_units = ["N" if slide else "N m" for slide in prismatic]
@@ -427,7 +435,8 @@ def _signals(table, layout, time, notes):
     # Other columns of time are signals, unless a preset identifies them as time.
     roles = [x for x in layout.roles if x.kind != "t" or layout.what or x is time]
     excluded = {role.column for role in roles} | layout.no_signals
-    others = [x for x in table.frame if x not in excluded]
+    others = table.frame.select_dtypes(exclude=["datetime", "datetimetz"])
+    others = [x for x in others if x not in excluded]
     numbers = {x: as_numbers(table.values(x), len(table.frame))[0] for x in others}
     rejected = [x for x, values in numbers.items() if values is None]
     if rejected:

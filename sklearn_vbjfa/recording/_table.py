@@ -24,7 +24,7 @@ NAMES_TITLE = re.compile(r"(.*[^a-z])?names?[^a-z]*", re.IGNORECASE)
 
 
 class Loss(str):
-    """A note on a part of a recording or robot that is left out."""
+    """A note on a loss or on doubtful channels, which forbids a clean exit."""
 
     __slots__ = ()
 
@@ -93,22 +93,26 @@ class Table:
         if bad.size:
             raise ValueError(
                 f"{self.path}: {values[bad[0]]} or nothing in {self.where(bad[0])}, "
-                f"column {name!r} ({bad.size} such cells in it); interpolate them or "
-                "remove those rows."
+                f"column {name!r} ({bad.size} such cells in it); remove those "
+                "rows; interpolated values would bias the fit."
             )
         return values
 
     def with_dates(self) -> "Table":
         """Merge time stamps in two columns, such as s and ns, to a column of dates."""
         pandas, frame = imported(self.path, "pandas"), self.frame.copy(deep=False)
-        numbers = [name for name in frame if frame[name].dtype.kind in "iuf"]
-        for name, (end, parts) in itertools.product(numbers, _CONFIG["clocks"].items()):
-            for part, unit in parts.items() if name.endswith(end) else ():
-                other = name.removesuffix(end) + part
-                if other in numbers:
-                    date = pandas.to_datetime(frame[name], unit="s", errors="coerce")
-                    date += pandas.to_timedelta(frame.pop(other), unit=unit)
-                    frame[name] = date
+        columns = {x.lower(): x for x in frame if frame[x].dtype.kind in "iuf"}
+        pairs = itertools.product(columns, _CONFIG["clocks"]["endings"])
+        for name, (end, rest, unit) in pairs:
+            whole, part = columns[name], columns.get(name.removesuffix(end) + rest)
+            if not name.endswith(end) or part not in frame:
+                continue
+            # Otherwise, two columns hold the same time in different units.
+            seconds, fraction = self.frame[whole], TIME_UNITS[unit] * frame[part]
+            if seconds.mod(1).max() == 0 and fraction.max() <= 1:
+                date = pandas.to_datetime(seconds, unit="s", errors="coerce")
+                date += pandas.to_timedelta(frame.pop(part), unit=unit)
+                frame[whole] = date
         return replace(self, frame=frame)
 
     def where(self, row) -> str:
@@ -150,9 +154,11 @@ def check_names(path, names, what):
     """Raise an error if a name occurs twice."""
     ((first, count),) = Counter(names).most_common(1)
     if count > 1:
+        times, remedy = "twice", "rename or remove one of them"
+        if count > 2:
+            times, remedy = f"{count} times", "write one header line of different names"
         raise RecordingRefused(
-            f"{path}: {what} column {quoted(first)} twice; rename or remove one of "
-            "them."
+            f"{path}: {what} column {quoted(first)} {times}; {remedy}."
         )
 
 
@@ -268,7 +274,7 @@ _CUTOFF = 0.85
 def kinds_in(name):
     """Return the kinds of channel that words of a name denote, even if misspelled."""
     text = re.sub(r"\{\w+\}", " ", split_unit(name)[0])
-    text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text)
     words = [x.lower() for x in re.findall(r"[^\W\d_]+", text)]
     close = [difflib.get_close_matches(x, _KIND_OF, 1, _CUTOFF) for x in words]
     return {_KIND_OF[word] for (word,) in filter(None, close)}

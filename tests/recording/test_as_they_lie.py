@@ -189,15 +189,6 @@ def test_a_truncated_last_line_is_skipped_with_a_note(cut, arm, text, tmp_path):
     assert_cut(tmp_path / "log.csv", "\n".join([text[0], *text[1]])[:-cut], arm)
 
 
-def test_concatenated_recordings_are_refused(arm, text, tmp_path):
-    path = tmp_path / "log.csv"
-    second = [
-        f"{k / 250 + 0.002:.7f},{x.split(',', 1)[1]}" for k, x in enumerate(text[1])
-    ]
-    path.write_text("\n".join([text[0], *text[1], *second]) + "\n")
-    assert "time runs backwards" in str(error_of(path, arm))
-
-
 def element(kind, content):
     """Return a data element of a MATLAB 5 file."""
     padded = content + b"\0" * (-len(content) % 8)

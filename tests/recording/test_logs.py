@@ -9,7 +9,7 @@ import pytest
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import RecordingRefused
 from tests.recording._logs import EPOCH, GAINS, KINDS, plain
-from tests.recording._reading import read
+from tests.recording._reading import read, refusal
 from tests.recording.test_reader import assert_same, table, write
 
 
@@ -182,7 +182,6 @@ def test_mapping_by_joint_name(tmp_path):
         ("", "expected CHANNEL=NAME"),
         ("q=,t=t", "columns has 'q='"),
         ("q=angle{i}", r"no column angle\{i\}, which columns asks for; found t, q1"),
-        ("q1=q1,q2=q1", "columns names column 'q1' twice"),
     ],
 )
 def test_invalid_mappings_are_refused(tmp_path, mapping, message):
@@ -198,6 +197,7 @@ UNKNOWN_NAMES = [
     {"t": "ts_ms", "q": "joint_pos_{}", "tau": "motorTorque{}"},
     {"t": "time", "q": "axis{}.position", "tau": "axis{}.current"},
     {"t": "t", "q": "meas_angle[{}]", "tau": "meas_effort[{}]"},
+    {"t": "time", "q": "axisQMsr{}", "tau": "measuredTorque{}"},
     {"t": "ms", "q": "ax{}_pos", "tau": "ax{}_cur"},
     {"t": "stamps", "q": "ax{}_pos", "tau": "ax{}_cur"},
     {"t": "t", "q": "q_deg{} [deg]", "tau": "torque_mNm{} [mNm]"},
@@ -226,6 +226,23 @@ def test_error_offers_options_that_work(tmp_path, names):
     recording, _ = read(path, **caught.value.options)
     assert_same(recording, columns)
     assert recording.dt == pytest.approx(0.01)
+
+
+def test_periodic_columns_do_not_number_joints(tmp_path):
+    columns = rename({"q1": "a1", "q2": "a2", "tau1": "b1", "tau2": "b2"})
+    rows = np.arange(columns.pop("t").size) % 20
+    path = write(tmp_path / "arm.csv", columns | {"part": 50 * rows})
+    assert "no positions: expected" in str(refusal(path))
+    path = write(path, columns | {"count": rows})
+    assert "no time: expected" in str(refusal(path, columns="q=a{i},tau=b{i}"))
+
+
+def test_commanded_positions_give_a_warning(tmp_path):
+    columns = rename({"q1": "axisQCmd1", "q2": "axisQCmd2"})
+    path = write(tmp_path / "arm.log", columns)
+    recording, notes = read(path, columns="q=axisQCmd{i}")
+    assert_same(recording, table())
+    assert any("'axisQCmd1' seems to be commanded" in x for x in notes)
 
 
 # -- units -----------------------------------------------------------------------------
@@ -419,11 +436,6 @@ def _as_scaled_codes(columns):
     return columns | {"tau1": _as_12_bit_codes(columns)["tau1"] / 10}
 
 
-def _of_interleaved_robots(columns):
-    other = {name: x if name == "t" else 5.0 - x for name, x in columns.items()}
-    return {k: np.column_stack([x, other[k]]).ravel() for k, x in columns.items()}
-
-
 @pytest.mark.parametrize("late", [(0.002,), (0.005,), (0.002, 0.005)])
 def test_rows_of_robots_in_turn_are_refused_with_any_stamps(tmp_path, late):
     columns = table(n=400)
@@ -443,10 +455,9 @@ def test_rows_of_robots_in_turn_are_refused_with_any_stamps(tmp_path, late):
     [
         (_as_12_bit_codes, "subtract 4096 from those from 2048 on"),
         (_as_scaled_codes, r"subtract 409\.6 from those from 204\.8 on"),
-        (_of_interleaved_robots, "rows of several robots in turn"),
     ],
 )
-def test_wrapped_codes_and_interleaved_robots_are_refused(tmp_path, change, message):
+def test_wrapped_codes_are_refused(tmp_path, change, message):
     with pytest.raises(ValueError, match=message):
         read_recording(write(tmp_path / "arm.csv", change(table(n=400))), dt=0.01)
 

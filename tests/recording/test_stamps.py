@@ -35,19 +35,6 @@ def read_stamps(tmp_path):
     return lambda t, q, dt=None: save(tmp_path / "a.npz", t, q, tau[: len(q)], dt)
 
 
-def test_regular_stamps_with_missing_rows_and_a_gap(read_stamps):
-    t = 0.01 * np.arange(100)
-    recording, notes = read_stamps(t, motion(t))
-    assert (recording.n_samples, recording.dt, notes) == (100, 0.01, "")
-    kept = np.delete(t, [30, 60, *range(70, 80)])
-    recording, notes = read_stamps(kept, motion(kept))
-    assert recording.dt == pytest.approx(0.01)
-    assert np.bincount(recording.groups).tolist() == [70, 20]
-    assert "the first after row 68: the recording is split there" in notes
-    with pytest.raises(ValueError, match="time repeats 0 s in row 2"):
-        read_stamps(np.zeros(2), motion(t[:2]))
-
-
 @pytest.mark.parametrize("share", [0.05, 0.1, 0.2, 0.3, 0.4])
 def test_positions_distinguish_late_stamps_from_late_samples(share, read_stamps):
     rng = np.random.default_rng(0)

@@ -21,7 +21,7 @@ TABLES = (
 _FORMATS = f"{TABLES}, or a bag (.bag, .db3, .mcap)"
 # Readers of file contents (files may be compressed, or pipes), and readers of files.
 _BYTE_READERS = {
-    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), read_text),
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".log"), read_text),
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), _arrays.read_json),
 }
 _FILE_READERS = {
@@ -35,8 +35,6 @@ _FILE_READERS = {
 _CODECS = {b"\x1f\x8b": gzip, b"BZh": bz2, b"\xfd7zXZ\x00": lzma}
 _PACKED_SUFFIXES = (".gz", ".bz2", ".xz")
 _CHUNK = 1 << 20
-# Files that identify a folder as a single bag or data set.
-_MARKERS = ("metadata.yaml", INFO)
 
 
 def read_table(path, topic) -> Table:
@@ -120,7 +118,7 @@ def tables_in(path):
 def recordings_in(path):
     """Return the tables, bags and data sets in a folder, or the folder if it is one."""
     path = expand(path)
-    if any((path / marker).is_file() for marker in _MARKERS):
+    if any((path / marker).is_file() for marker in ("metadata.yaml", INFO)):
         return [path]
     return sorted([*_tables(path), *(x for x in path.iterdir() if _is_recording(x))])
 
@@ -132,4 +130,6 @@ def _is_recording(path):
 def _tables(path):
     suffixes = {*_BYTE_READERS, *_FILE_READERS, *BAGS}
     files = [x for x in path.iterdir() if x.is_file() and not x.name.startswith(".")]
-    return sorted(x for x in files if _suffix(x) in suffixes)
+    tables = sorted(x for x in files if _suffix(x) in suffixes)
+    # Logs among tables are those of programs.
+    return [x for x in tables if _suffix(x) != ".log"] or tables

@@ -83,7 +83,7 @@ def _decode(path, content):
         content = content.decode("cp1252").encode()
         notes = ("is not UTF-8, read as Windows text (cp1252), as Excel saves CSV.",)
     if b"\0" in content:
-        raise RecordingRefused(f"{path}: is binary, not text; save it as CSV in UTF-8.")
+        raise NotATable(f"{path}: is binary, not text; save it as CSV in UTF-8.")
     content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     return _SHEET_ERROR.sub(b"nan", content).removeprefix(b"\xef\xbb\xbf"), notes
 

@@ -99,7 +99,7 @@ class Table:
         return values
 
     def with_dates(self) -> "Table":
-        """Merge time stamps in two columns, such as s and ns, to a column of dates."""
+        """Merge time stamps in columns such as s, ms and us to a column of dates."""
         pandas, frame = imported(self.path, "pandas"), self.frame.copy(deep=False)
         columns = {x.lower(): x for x in frame if frame[x].dtype.kind in "iuf"}
         pairs = itertools.product(columns, _CONFIG["clocks"]["endings"])
@@ -110,7 +110,7 @@ class Table:
             # Otherwise, two columns hold the same time in different units.
             seconds, fraction = self.frame[whole], TIME_UNITS[unit] * frame[part]
             if seconds.mod(1).max() == 0 and fraction.max() <= 1:
-                date = pandas.to_datetime(seconds, unit="s", errors="coerce")
+                date = pandas.to_datetime(frame[whole], unit="s", errors="coerce")
                 date += pandas.to_timedelta(frame.pop(part), unit=unit)
                 frame[whole] = date
         return replace(self, frame=frame)

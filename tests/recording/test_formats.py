@@ -323,5 +323,12 @@ def test_seconds_and_fractions_in_two_columns(seconds, rest, count, tmp_path):
         recording = read_recording(path)
     assert recording.dt == pytest.approx(DT)
     assert not recording.signals
-    # Dates are not columns without numbers.
     assert "no finite" not in read_text(write(path, clock | table()))[1]
+
+
+def test_seconds_and_fractions_in_three_columns(tmp_path):
+    us = np.arange(0, N * 5500, 5500)
+    clock = {"sec": us // 10**6, "msec": us // 1000 % 1000, "usec": us % 1000}
+    columns = {name: x for name, x in table().items() if name != "t"} | clock
+    recording = read_recording(write(tmp_path / "arm.csv", columns))
+    assert recording.dt == pytest.approx(0.0055)

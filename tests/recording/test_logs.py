@@ -179,8 +179,6 @@ def test_mapping_by_joint_name(tmp_path):
         ("q=q{i},q=v{i}", r"columns has 'q=v\{i\}'; expected CHANNEL=NAME, each"),
         ("torque=tau{i}", "columns has 'torque=tau.*Channels are q, tau, v"),
         ("q", "columns has 'q='; expected CHANNEL=NAME"),
-        ("", "expected CHANNEL=NAME"),
-        ("q=,t=t", "columns has 'q='"),
         ("q=angle{i}", r"no column angle\{i\}, which columns asks for; found t, q1"),
     ],
 )

@@ -117,7 +117,7 @@ TABLE = (
     Hypothesis("no_gravity", "error", scene.weightless, "weighs"),
     Hypothesis("gravity_only", "error", scene.gravity_only, "weighs moves"),
     Hypothesis("no_gravity", "error", torques.missing_weight, "weighs",
-               prior=2 * number.PRIOR, surpasses="one_joint"),
+               prior=2 * number.PRIOR, surpasses="springs one_joint"),
     Hypothesis("weight_factor", "error", scene.weight_factor, "weighs moves",
                prior=2 * number.PRIOR, surpasses="loaded springs one_joint"),
     Hypothesis("base_orientation", "error", scene.base_orientation, "weighs",

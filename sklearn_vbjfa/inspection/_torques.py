@@ -241,9 +241,12 @@ def beyond_limits(reading):
 
 def driving_friction(reading):
     """Return the joints whose friction accelerates them by the torques."""
-    # Early torques, which are tested as a lag, have the same effect.
-    robot = reading.robot
-    fits = robot.baseline, robot.fit(columns=-robot.signals.slope[:, :, None])
+    # Early torques, and third derivatives of the positions, have the same effect.
+    robot, signals, nv = reading.robot, reading.robot.signals, reading.nv
+    jerk = np.gradient(signals.states[:, 2 * nv :], axis=0)
+    jerk *= signals.tau.std(axis=0) / np.maximum(jerk.std(axis=0), 1e-99)
+    columns = jerk[:, :, None] * np.eye(nv), -signals.slope[:, :, None]
+    fits = robot.baseline, robot.fit(columns=np.concatenate(columns, axis=2))
     # Friction must be larger than unmodelled torque, such as of elastic joints.
     n = np.array([robot.rows[j].size for j in robot.joints]) / robot.times[robot.joints]
     drives = np.all([fit.power < -number.SIGMAS - np.sqrt(n) for fit in fits], axis=0)

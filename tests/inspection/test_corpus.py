@@ -243,9 +243,11 @@ def test_faults_in_measured_recordings_are_reported(measured_data_home, name):
     [
         ({"payload": 2.734042, "backlash": 5.665245}, (482, 1, 15)),
         ({"jerk": 6.0}, (485, 0, 18)),
+        ({"torque_filter": 1.971459, "jerk": 2.16456, "drift": 1.71942}, (482, 2, 19)),
+        ({"counterbalance": 5.021482, "elastic": 4.181096}, (499, 1, 10)),
     ],
 )
-def test_unmodelled_torque_is_no_driving_friction(effects, seed):
+def test_unmodelled_torque_is_no_fault(effects, seed):
     log = simulate([*effects], size=[*effects.values()], seed=seed)
     findings = inspect_channels(log.model, log.q, log.tau, log.dt)
     assert [x for x in findings if x.severity == "error"] == []

@@ -27,11 +27,11 @@ from sklearn_vbjfa.diagnosis.search._branches import (
     tune_branch_shapes,
 )
 from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings, search
-from sklearn_vbjfa.diagnosis.search._stepwise import slip_joints, tune_shapes
+from sklearn_vbjfa.diagnosis.search._stepwise import tune_shapes
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
 from sklearn_vbjfa.effects import Sudden, TorqueGain, declarable, resolve
 from sklearn_vbjfa.equations._checks import check_weight
-from sklearn_vbjfa.equations._plan import check_effects
+from sklearn_vbjfa.equations._plan import check_effects, joints_at_rest
 from sklearn_vbjfa.equations._repetition import find_repetition
 from sklearn_vbjfa.fit._arguments import check_rows_suffice, checked_arrays
 from sklearn_vbjfa.fit._gains import PAYLOAD
@@ -413,7 +413,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             band["options"] = replace(options, standstill=judged.standstill_)
         data = self.baseline_.robot_, sample
         view = RecordingView(*data, **view_settings)
-        view = view.with_rest(slip_joints(result.effects))
+        view = view.with_rest(joints_at_rest(result.effects))
         if result.branches:
             effects = tune_branch_shapes(
                 result, lambda b: b.view(*data, **view_settings)

@@ -460,6 +460,8 @@ class Bank(Stateful):
     A search drops elements whose size is not positive, and fits samples at rest.
     """
 
+    at_rest = True  # whether a fit uses samples of its joint at rest
+
 
 class OfTime(Effect):
     """An effect that changes with time: a search judges it by slow changes alone."""

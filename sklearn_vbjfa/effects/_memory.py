@@ -150,6 +150,9 @@ class MaxwellSlip(Shaped, Converted, Bank):
         Stribeck speed [rad/s or m/s] of the falling elements.
     element : {"stop", "bristle"}, default="stop"
         Whether elements slip (Maxwell slip, GMS) or creep (Dahl, LuGre).
+    at_rest : bool, default=True
+        Whether a fit uses samples of the joint at rest. A joint may be held by another
+        torque, such as that of a state from before the recording.
 
     Notes
     -----
@@ -187,6 +190,7 @@ class MaxwellSlip(Shaped, Converted, Bank):
         falling=(),
         vs=0.1,
         element="stop",
+        at_rest=True,
     ):
         super().__init__(joint)
         self.displacements = displacements
@@ -194,6 +198,7 @@ class MaxwellSlip(Shaped, Converted, Bank):
         self.falling = falling
         self.vs = vs
         self.element = element
+        self.at_rest = at_rest
 
     _creeps = property(lambda self: self.element == "bristle")
     _banks = property(lambda self: tuple(getattr(self, name) for name in _BANKS))
@@ -221,10 +226,8 @@ class MaxwellSlip(Shaped, Converted, Bank):
     depends = property(lambda self: ("direction", *self.needs))
 
     def shape(self):
-        shape = super().shape()
-        if not self.falling:
-            del shape["vs"]
-        return shape
+        left_out = {"at_rest"} if self.falling else {"at_rest", "vs"}
+        return {k: x for k, x in super().shape().items() if k not in left_out}
 
     @property
     def named_units(self):
@@ -334,6 +337,11 @@ class MaxwellSlip(Shaped, Converted, Bank):
         """Return the banks of slipping elements; creeping ones follow if they help."""
         shapes = self.shapes(motion)
         return [shape for shape in shapes if self._creeps or shape["element"] == "stop"]
+
+    def natural(self, coef):
+        # Without displacement it would be Coulomb friction.
+        has_memory = np.any(np.concatenate(self._banks) * coef)
+        return bool(super().natural(coef) and has_memory)
 
     def only(self, used):
         """Return the effect with the elements in a mask (k,)."""

@@ -115,8 +115,7 @@ class Plan:
     def _used_at_rest(self):
         """Joints (nv,), bool, whose equations at rest are used."""
         out = np.zeros(self.standstill.size, dtype=bool)
-        out[[e.joint for e in self.effects if isinstance(e, Bank)]] = True
-        out[list(self.resting)] = True
+        out[[*joints_at_rest(self.effects), *self.resting]] = True
         return out
 
     @property
@@ -170,6 +169,11 @@ class Plan:
             # unknown for rows of a running robot
             return self.fastest_period
         return np.full(self.standstill.size, CUTOFF_PER_BANDWIDTH / self.cutoff)
+
+
+def joints_at_rest(effects):
+    """Return the joints whose samples at rest are fitted, a set of int."""
+    return {e.joint for e in effects if isinstance(e, Bank) and e.at_rest}
 
 
 def make_plan(identifier, effects, lengths, estimator, facts):

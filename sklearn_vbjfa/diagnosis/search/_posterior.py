@@ -5,6 +5,7 @@ from numbers import Integral, Real
 
 import numpy as np
 from scipy.special import expit, ndtr, ndtri
+from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._held_out import (
     CrossValidatedGain,
@@ -16,10 +17,10 @@ from sklearn_vbjfa.diagnosis.search._stepwise import (
     ENTRY_SHARE,
     StepwiseSearch,
     relinearise,
-    slip_joints,
 )
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Bank, Effect, InModel, Motion, OfChannel, Sudden
+from sklearn_vbjfa.equations._plan import joints_at_rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +158,7 @@ def search(view, library, settings, alpha, max_effects=None):
         view = view.with_rest(resting)
         stepwise = StepwiseSearch(view, library, settings, max_effects)
         fit, odds, gains = _final_model(stepwise, stepwise.run())
-        bank_joints = slip_joints(member.effect for member in fit.members)
+        bank_joints = joints_at_rest(member.effect for member in fit.members)
         if resting <= bank_joints:
             break
         # Rows at rest need presliding friction.
@@ -176,7 +177,11 @@ def search(view, library, settings, alpha, max_effects=None):
         )
         warning = _warning(fit, member, evidence, needed, stepwise)
         warning = warning or ("" if i in large else SMALL)
-        entry = {"effect": member.effect.completed(), "evidence": evidence}
+        effect = member.effect.completed()
+        if isinstance(effect, Bank):
+            # In few stops, as before a motion, any torque may hold a joint.
+            effect = clone(effect).set_params(at_rest=effect.joint in resting)
+        entry = {"effect": effect, "evidence": evidence}
         findings.append(FoundEffect(**entry, rivals=rivals, warning=warning))
     return SearchResult(
         findings=sort_findings(findings),
@@ -218,25 +223,32 @@ def _friction_at_rest(view, library, settings):
     resting = set(view.at_rest()) if banks else set()
     if not resting:
         return resting
-    fit = StepwiseSearch(view, banks, settings).forward_selection()
-    residual = HeldOutFit(HeldOut(view, view.blocks.fold), fit).residual
-    noise = (residual**2).sum(axis=1) / np.maximum(view.rows, 1.0)
-    shown = slip_joints(member.effect for member in fit.members)
+    moving = StepwiseSearch(view, banks, settings).forward_selection()
+    shown = joints_at_rest(member.effect for member in moving.members)
     while uncertain := resting - shown:
         rested = view.with_rest(resting)
         fit = StepwiseSearch(rested, banks, settings).forward_selection()
-        found = slip_joints(member.effect for member in fit.members)
-        residual = HeldOutFit(HeldOut(rested, rested.blocks.fold), fit).residual
-        weight = rested.root.T**2
-        at_rest = 1.0 - view.root.T**2 / np.where(weight > 0, weight, 1.0)
-        left = (at_rest * residual**2).sum(axis=1)
-        usual = settings.known**2 * noise * (rested.rows - view.rows)
-        excess = left / np.maximum(usual, np.finfo(float).tiny)
+        found = joints_at_rest(member.effect for member in fit.members)
+        excess = _excess_at_rest(moving, fit, settings)
         worst = max(uncertain, key=lambda j: (j not in found, excess[j]))
         if worst in found and excess[worst] <= 1.0:
             break
         resting.remove(worst)
     return resting
+
+
+def _excess_at_rest(fit, rested, settings):
+    """Return squared residuals at rest over the usual of those in motion, (nv,)."""
+    # rested: a fit that includes rows at rest.
+    moving, squares = (
+        HeldOutFit(HeldOut(x.problem.view, x.problem.view.blocks.fold), x).residual ** 2
+        for x in (fit, rested)
+    )
+    view, weight = fit.problem.view, rested.problem.view.root.T**2
+    at_rest = 1.0 - view.root.T**2 / np.where(weight > 0, weight, 1.0)
+    noise = moving.sum(axis=1) / np.maximum(view.rows, 1.0)
+    usual = settings.known**2 * noise * (weight.sum(axis=1) - view.rows)
+    return (at_rest * squares).sum(axis=1) / np.maximum(usual, np.finfo(float).tiny)
 
 
 def sort_findings(findings):

@@ -24,6 +24,7 @@ from sklearn_vbjfa.diagnosis.search._refine import (
     with_shape,
 )
 from sklearn_vbjfa.effects import Bank, InModel, OnAllJoints, Sudden, closure
+from sklearn_vbjfa.equations._plan import joints_at_rest
 from sklearn_vbjfa.fit._bodies import DESCRIBED
 from sklearn_vbjfa.model import nominal_parameters
 from sklearn_vbjfa.robot._posterior import body_indices
@@ -471,7 +472,7 @@ def tune_shapes(view, effects, settings):
     """Refit the shapes of effects to another recording, tuple of Effect."""
     if not effects:
         return ()
-    stepwise = StepwiseSearch(view.with_rest(slip_joints(effects)), (), settings)
+    stepwise = StepwiseSearch(view.with_rest(joints_at_rest(effects)), (), settings)
     # One weight per joint, as in the fit of the robot.
     fit, previous = stepwise.fit_effects(effects), -np.inf
     best, most, stalled = fit, -np.inf, 0
@@ -485,11 +486,6 @@ def tune_shapes(view, effects, settings):
             break
         previous = evidence
     return tuple(member.effect.completed() for member in best.members)
-
-
-def slip_joints(effects):
-    """Return the joints with presliding friction (a `Bank`), a set of int."""
-    return {effect.joint for effect in effects if isinstance(effect, Bank)}
 
 
 def context_key(fit, i):

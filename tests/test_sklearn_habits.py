@@ -1,11 +1,9 @@
 """Conventions of scikit-learn beyond its checks: data frames, copies, display."""
 
 import pickle
-import re
 
 import numpy as np
 import pytest
-import sklearn
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.utils import get_tags
@@ -140,26 +138,6 @@ def test_tags(estimator):
     assert tags.target_tags.multi_output == several
     assert not tags.input_tags.allow_nan
     assert not tags.input_tags.sparse
-
-
-@pytest.mark.parametrize("estimator", estimators(), ids=name_of)
-def test_repr_and_html_are_short(estimator):
-    text = repr(estimator)
-    assert text.startswith(name_of(estimator) + "(")
-    assert len(text) < 1200
-    html = estimator._repr_html_()
-    body = re.sub(r"<(style|script)>.*?</\1>", "", html, flags=re.DOTALL)
-    assert name_of(estimator) in body
-    # Unfolded, the parameters fit on one page.
-    assert len(re.sub(r"<[^>]+>", "", body).split()) < 600
-    with sklearn.config_context(display="text"):
-        bundle = estimator._repr_mimebundle_()
-    assert list(bundle) == ["text/plain"]
-
-
-def test_discovery_html_shows_its_identifier():
-    html = estimators()[0]._repr_html_()
-    assert "identifier: RobotIdentifier" in html
 
 
 def assert_same(estimator, other):

@@ -32,13 +32,6 @@ def test_generators_of_convex_combinations_are_found(seed, n_combined):
     assert_array_equal(found.basis, expected)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_units_do_not_matter(seed):
-    X, expected = make_inputs(seed)
-    scale = 10.0 ** np.random.default_rng(seed).uniform(-6, 6, size=X.shape[1])
-    assert_array_equal(find_dependencies(correlation(X * scale)).basis, expected)
-
-
 def test_combinations_with_both_signs_have_a_basis():
     rng = np.random.default_rng(1)
     t = rng.normal(size=(400, 3))

@@ -276,6 +276,7 @@ class StepwiseSearch:
         ]
         if len(kept) == len(fit.members):
             return fit
+        contained = {m.effect.name for m in fit.members if m not in kept} <= names
         base = Fit(fit.base, [m for m in kept if m is not member])
         for columns in self.candidates.columns[joint]:
             if columns.effects[0].name != member.effect.name:
@@ -288,8 +289,10 @@ class StepwiseSearch:
             alone_error, error, base_error = (
                 self.validate(model).error_of(joint) for model in (alone, fit, base)
             )
-            # Alone it must save nearly as much as together.
-            if alone_error - error <= self.settings.min_gain * (base_error - error):
+            # Alone it must save nearly as much as together with what it contains, else
+            # as much.
+            tolerance = self.settings.min_gain * contained
+            if alone_error - error <= tolerance * (base_error - error):
                 return alone
         return fit
 

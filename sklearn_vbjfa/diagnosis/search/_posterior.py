@@ -54,7 +54,8 @@ class SearchSettings:
         effect saves in addition to the others.
     known : float, default=3.0
         Standard deviations by which a correction (a zero, a tilt, a gain) must differ
-        from zero to be reported, and negative friction to be set to zero.
+        from zero to be reported, negative friction to be set to zero, and residuals at
+        rest to be unexplained by friction with memory that the motion does not show.
     above_motion : float, default=2.0
         A filter of a channel is reported only if its corner is above so many times the
         frequency below which 90 % of the motion's power lies.

@@ -69,12 +69,14 @@ def elements(q, d, level=1.0, falls=False, creeps=False, before=(), widths=(0, 0
         z[0] = elements(ends, d, creeps=creeps, widths=widths)[-1]
     level, falls = np.broadcast_to(level, q.shape), np.broadcast_to(falls, d.shape)
     arrays = (np.ascontiguousarray(x) for x in (paths, d, level, falls))
-    _compiled(_elements)(*arrays, creeps, z)
+    _compiled(_elements)(*arrays, creeps, 0.5 * widths[0], z)
     return z
 
 
-def _elements(paths, d, level, falls, creeps, z):
+def _elements(paths, d, level, falls, creeps, least, z):
     """Compute states z (n, k) from that of the first row."""
+    # least: displacement from which a relaxed element turns, as the first position may
+    # be an outlier.
     for i in range(len(paths)):
         previous = max(i - 1, 0)
         turn = paths[i, 0] - paths[previous, 0]
@@ -83,7 +85,9 @@ def _elements(paths, d, level, falls, creeps, z):
         for k in range(d.size):
             limit = level[i] if falls[k] else 1.0
             if d[k] == 0:
-                z[i, k] = np.sign(turn if turn != 0 else z[previous, k]) * limit
+                moved = z[previous, k] != 0 or abs(paths[i, 0] - paths[0, 0]) > least
+                side = turn if turn != 0 and moved else z[previous, k]
+                z[i, k] = np.sign(side) * limit
                 continue
             aligned, travel = direction * z[previous, k], direction * step / d[k]
             if creeps:
@@ -273,16 +277,17 @@ class MaxwellSlip(Shaped, Converted, Bank):
         constant, loaded, falling = self._banks
         d = [float(x) for x in (*constant, *loaded, *falling)]
         first, second = len(constant), len(constant) + len(loaded)
-        paths, side, z = (), 0.0, [0.0] * len(d)
+        paths, side, z, origin = (), 0.0, [0.0] * len(d), None
         halves = [x / 2 for x in (maths.rest.plays(j) if maths.rest else (0.0, 0.0))]
 
         def torque(state):
-            nonlocal paths, side
+            nonlocal paths, side, origin
             q, old = state.q[j], paths or 2 * (state.q[j],)
+            origin = q if origin is None else origin
             paths = [min(max(p, q - h), q + h) for p, h in zip(old, halves)]
             turn, step = (p - last for p, last in zip(paths, old))
             direction = -1.0 if step < 0 else 1.0
-            if turn:
+            if turn and (side or abs(paths[0] - origin) > halves[0]):
                 side = 1.0 if turn > 0 else -1.0
             falling_level = 1.0 + exp(-((state.v[j] / vs) ** 2)) if falling else 1.0
             for k, displacement in enumerate(d):

@@ -391,7 +391,7 @@ class IdentifiedRobot:
         Returns
         -------
         ndarray of shape (n_samples, 3 * nv)
-            States [q | v | a]; the first row is the start, in which friction with memory
+            States [q | v | a]; the first row is the start, where friction with memory
             is relaxed.
 
         Raises

@@ -314,6 +314,12 @@ def test_invalid_displacements_are_refused(values):
         transform(effects.MaxwellSlip(displacements=values))
 
 
+def test_an_outlier_in_the_first_row_does_not_turn_a_relaxed_element():
+    q = 1e-5 * np.repeat([0.0, 1.4, 5.0, 3.0, 1.0], [1, 50, 50, 1, 1])
+    z = elements(q, [0.0], widths=(2e-5, 0.0))[:, 0]
+    assert z.tolist() == [0.0] * 51 + [1.0] * 51 + [-1.0]
+
+
 @settings(deadline=None, max_examples=40)
 @given(q=walks, width=st.sampled_from([0.0, 0.125, 1.0, 3.0]))
 def test_play_operator_on_random_walks(q, width):

@@ -457,7 +457,7 @@ class Stateful(Effect):
 class Bank(Stateful):
     """Elements of positive size in place of Coulomb friction, one for each column.
 
-    A search drops elements whose size is not positive, and fits samples at rest.
+    A search drops elements whose size is not positive.
     """
 
     at_rest = True  # whether a fit uses samples of its joint at rest

@@ -188,8 +188,7 @@ def search(view, library, settings, alpha, max_effects=None):
         findings=sort_findings(findings),
         view=view,
         motion=fit.problem.motion,
-        # Folds interleaved in time, as the held-out part is.
-        residual=HeldOutFit(HeldOut(view, view.blocks.fold), fit).residual,
+        residual=_residual(fit),
         fit=fit,
         candidates=stepwise.candidates.columns,
         n_candidates=stepwise.candidates.count,
@@ -226,11 +225,16 @@ def _friction_at_rest(view, library, settings):
         return resting
     moving = StepwiseSearch(view, banks, settings).forward_selection()
     shown = joints_at_rest(member.effect for member in moving.members)
+    noise = (_residual(moving) ** 2).sum(axis=1) / np.maximum(view.rows, 1.0)
     while uncertain := resting - shown:
         rested = view.with_rest(resting)
         fit = StepwiseSearch(rested, banks, settings).forward_selection()
         found = joints_at_rest(member.effect for member in fit.members)
-        excess = _excess_at_rest(moving, fit, settings)
+        weight = rested.root.T**2
+        at_rest = 1.0 - view.root.T**2 / np.where(weight > 0, weight, 1.0)
+        left = (at_rest * _residual(fit) ** 2).sum(axis=1)
+        usual = settings.known**2 * noise * (rested.rows - view.rows)
+        excess = left / np.maximum(usual, np.finfo(float).tiny)
         worst = max(uncertain, key=lambda j: (j not in found, excess[j]))
         if worst in found and excess[worst] <= 1.0:
             break
@@ -238,18 +242,11 @@ def _friction_at_rest(view, library, settings):
     return resting
 
 
-def _excess_at_rest(fit, rested, settings):
-    """Return squared residuals at rest over the usual of those in motion, (nv,)."""
-    # rested: a fit that includes rows at rest.
-    moving, squares = (
-        HeldOutFit(HeldOut(x.problem.view, x.problem.view.blocks.fold), x).residual ** 2
-        for x in (fit, rested)
-    )
-    view, weight = fit.problem.view, rested.problem.view.root.T**2
-    at_rest = 1.0 - view.root.T**2 / np.where(weight > 0, weight, 1.0)
-    noise = moving.sum(axis=1) / np.maximum(view.rows, 1.0)
-    usual = settings.known**2 * noise * (weight.sum(axis=1) - view.rows)
-    return (at_rest * squares).sum(axis=1) / np.maximum(usual, np.finfo(float).tiny)
+def _residual(fit):
+    """Return cross-validated residuals, times the square roots of the weights."""
+    # Folds interleaved in time, as the held-out part is.
+    view = fit.problem.view
+    return HeldOutFit(HeldOut(view, view.blocks.fold), fit).residual
 
 
 def sort_findings(findings):

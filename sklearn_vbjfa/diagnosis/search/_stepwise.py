@@ -266,18 +266,18 @@ class StepwiseSearch:
             return fit
         member = fit.members[i]
         names, joint = closure(member.effect, self.library), member.effect.joint
-        depends = member.effect.depends or None
-        kept = [
+        depends = member.effect.depends
+        others = [m for m in fit.members if m is not member]
+        similar = [
             m
-            for m in fit.members
-            if m.effect.joint != joint
-            or m is member
-            or not (m.effect.name in names or m.effect.depends == depends)
+            for m in others
+            if m.effect.joint == joint
+            and (m.effect.name in names or (depends and m.effect.depends == depends))
         ]
-        if len(kept) == len(fit.members):
+        if not similar:
             return fit
-        contained = {m.effect.name for m in fit.members if m not in kept} <= names
-        base = Fit(fit.base, [m for m in kept if m is not member])
+        contained = all(m.effect.name in names for m in similar)
+        base = Fit(fit.base, [m for m in others if m not in similar])
         for columns in self.candidates.columns[joint]:
             if columns.effects[0].name != member.effect.name:
                 continue

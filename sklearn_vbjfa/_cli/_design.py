@@ -47,6 +47,28 @@ def design(arguments, folder):
         file = _input.expand(arguments.urdf)
         known = replace(KnownRobot.of(str(urdf)), description=str(file))
         robot = _Robot(known, known.features.model_, str(file), held, 0.01)
+    motion = _motion(arguments, robot, report)
+    measured = all(0 < x < np.inf for x in robot.known.torque_noise)
+    facts = _summary.facts(motion, report)
+
+    def write(folder, notes):
+        motion.to_csv(folder / out.name)
+        options = report.get("provenance", {}).get("options", {})
+        command = _next_command(arguments, robot, options)
+        steps = {"out": out, "drive": options.get("drive"), "command": command}
+        return [render_template("next_motion.txt.j2", **steps, **facts)]
+
+    facts |= {"robot": Path(robot.file).name, "motion": motion, "measured": measured}
+    return Result(
+        text=render_template("motion.txt.j2", **facts),
+        doubts=_summary.doubts(motion, facts, arguments.effects or ()),
+        folder=out.parent,
+        files=(out.name,),
+        write=write,
+    )
+
+
+def _motion(arguments, robot, report):
     say(f"designing {arguments.duration:g} s for {len(robot.known.joint_names)} joints")
     motion = design_motion(
         robot.known,
@@ -67,24 +89,7 @@ def design(arguments, folder):
             f"no motion within the limits was found: {_summary.exceeded(motion)}; "
             "give a longer --duration or another --seed."
         )
-    measured = all(0 < x < np.inf for x in robot.known.torque_noise)
-    facts = _summary.facts(motion, report)
-
-    def write(folder, notes):
-        motion.to_csv(folder / out.name)
-        options = report.get("provenance", {}).get("options", {})
-        command = _next_command(arguments, robot, options)
-        steps = {"out": out, "drive": options.get("drive"), "command": command}
-        return [render_template("next_motion.txt.j2", **steps, **facts)]
-
-    facts |= {"robot": Path(robot.file).name, "motion": motion, "measured": measured}
-    return Result(
-        text=render_template("motion.txt.j2", **facts),
-        doubts=_summary.doubts(motion, facts, arguments.effects or ()),
-        folder=out.parent,
-        files=(out.name,),
-        write=write,
-    )
+    return motion
 
 
 def _identified(arguments, data, folder):

@@ -42,16 +42,7 @@ def identify(arguments, folder):
     robot = folder / "robot"
     incomplete, export = _write_robot(loop.identifier_, robot)
     outcome = loop.report_.outcome
-    files = tuple(dict.fromkeys(map(str, _input.paths(arguments))))
-    provenance = {
-        "file": files[0] if len(files) == 1 else files,
-        "description": str(_input.expand(arguments.urdf)),
-        "options": dict(arguments.typed),
-        "files": ("report.json", *(x for x in ROBOT_FILES if (robot / x).exists())),
-        "date": time.strftime("%Y-%m-%d"),
-        "export": export,
-        "held": locked,
-    }
+    provenance = _provenance(arguments, robot) | {"export": export, "held": locked}
     if loop.report_.has_open_questions:
         words = ["--report", str(out), "--duration", str(SECONDS)]
         words += _limits(loop.identifier_, recording)
@@ -114,6 +105,18 @@ def _write_robot(robot, folder):
         warnings.warn(warning.message, stacklevel=3)
     doubts = (x.message for x in caught if issubclass(x.category, DoubtWarning))
     return incomplete, tuple(map(str, doubts))
+
+
+def _provenance(arguments, robot):
+    """Return the files, the options and the date of an identification, a dict."""
+    files = tuple(dict.fromkeys(map(str, _input.paths(arguments))))
+    return {
+        "file": files[0] if len(files) == 1 else files,
+        "description": str(_input.expand(arguments.urdf)),
+        "options": dict(arguments.typed),
+        "files": ("report.json", *(x for x in ROBOT_FILES if (robot / x).exists())),
+        "date": time.strftime("%Y-%m-%d"),
+    }
 
 
 def _limits(robot, recording):

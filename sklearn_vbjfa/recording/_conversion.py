@@ -48,11 +48,7 @@ def _refusal(table, layout, options, robot, missing):
         if kind == "t":
             text = "no time: expected a column t [s], or the period dt [s] (--dt 0.002)"
         parts.append(f"{text}{f' (nearest: {listed(names)})' if names else ''}")
-    suggested = {}
-    if all(len(names) == 1 for names in candidates.values()):
-        mapping = options.columns | {x: names[0] for x, names in candidates.items()}
-        columns = ",".join(f"{key}={pattern}" for key, pattern in mapping.items())
-        suggested = _try_columns(table, options, columns)
+    suggested = _suggestion(table, options, candidates)
     if missing[0] == "tau" and not candidates["tau"]:
         parts.append(
             "if the motors follow commands, give the drive, drive=... (command line: "
@@ -88,6 +84,16 @@ def _refuse_rows_by_joint(table, layout):
                 f"{table.path}: each row is of one joint (column {name!r}): write one "
                 "row per sample, with the columns q1, ..., tau1, ... instead."
             )
+
+
+def _suggestion(table, options, near):
+    """Return options with which the file can be read, by the nearest columns, or {}."""
+    # near: nearest patterns by kind; the choice must be unique.
+    if any(len(patterns) != 1 for patterns in near.values()):
+        return {}
+    mapping = options.columns | {kind: pattern for kind, (pattern,) in near.items()}
+    columns = ",".join(f"{key}={pattern}" for key, pattern in mapping.items())
+    return _try_columns(table, options, columns)
 
 
 def _try_columns(table, options, columns, **more):
@@ -259,11 +265,11 @@ def read_rows(table, options) -> FileRows:
     table = merge_sources(table, used, notes)
     table, rows = remove_odd_rows(table, used, options, notes)
     roles, names = _sort_roles(table, layout, used, options, robot, notes)
-    for role in roles["q"][:1]:
-        # The name of a joint is no evidence.
-        if "command" in kinds_in(role.column.replace(f"{role.key}", "")):
-            what = "seems to be commanded; measured positions are needed."
-            notes.append(Loss(f"column {role.column!r} {what}"))
+    role = roles["q"][0]
+    # The name of a joint is no evidence.
+    if "command" in kinds_in(role.column.replace(f"{role.key}", "")):
+        what = "seems to be commanded; measured positions are needed."
+        notes.append(Loss(f"column {role.column!r} {what}"))
     channels, units = _convert_units(table, roles, options, notes)
     prismatic = _check_units(table, roles, units, names, robot)
     si_units = ["N" if slide else "N m" for slide in prismatic]

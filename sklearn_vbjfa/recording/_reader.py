@@ -318,12 +318,7 @@ def read_recording(
     recording = _combine(files, several, options.urdf, notes)
     if options.drive is not None:
         recording = _apply_drive(recording, options.drive, files)
-    # Each distinct note once, with the paths of its files.
-    paths_of: dict[tuple, dict] = {}
-    for name, note in [(str(file.path), note) for file in files for note in file.notes]:
-        paths_of.setdefault((type(note), str(note)), {})[name] = None
-    notes += [kind(f"{_shorten(x)}: {text}") for (kind, text), x in paths_of.items()]
-    for note in notes:
+    for note in [*notes, *_merge_notes(files)]:
         category = DoubtWarning if isinstance(note, Loss) else UserWarning
         warnings.warn(note, category, stacklevel=2)
     return recording
@@ -412,6 +407,16 @@ def common_folder(paths):
     """Return the name of the common parent folder of files, "" if they differ."""
     folders = {expand(path).parent.resolve() for path in paths}
     return folders.pop().name if len(folders) == 1 else ""
+
+
+def _merge_notes(files):
+    """Yield each distinct note once, with the paths of its files."""
+    names: dict[tuple, dict] = {}
+    for file in files:
+        for note in file.notes:
+            names.setdefault((type(note), str(note)), {})[str(file.path)] = None
+    for (kind, note), paths in names.items():
+        yield kind(f"{_shorten(paths)}: {note}")
 
 
 def _shorten(paths):

@@ -102,8 +102,9 @@ class Table:
         """Merge time stamps in columns such as s, ms and us to a column of dates."""
         pandas, frame = imported(self.path, "pandas"), self.frame.copy(deep=False)
         columns = {x.lower(): x for x in frame if frame[x].dtype.kind in "iuf"}
-        pairs = itertools.product(columns, _CONFIG["clocks"]["endings"])
-        for name, (end, rest, unit) in pairs:
+        clocks = _CONFIG["clocks"].items()
+        endings = [(end, *part) for end, parts in clocks for part in parts.items()]
+        for name, (end, rest, unit) in itertools.product(columns, endings):
             whole, part = columns[name], columns.get(name.removesuffix(end) + rest)
             if not name.endswith(end) or part not in frame:
                 continue

@@ -2,17 +2,13 @@
 
 import json
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from _posed_arms import DT, Arm, gravity, pin, record, visit
 
 from sklearn_vbjfa._cli import main
-
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-
-from _posed_arms import DT, Arm, gravity, pin, record, visit
 
 RNG = np.random.default_rng(0)
 ARM = Arm.drawn(3, RNG)

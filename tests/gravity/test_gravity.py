@@ -1,15 +1,10 @@
 """Correction of a description from poses, against Pinocchio's gravity torques."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-
 from _posed_arms import NOISE, STEP, Arm, gravity, pin, record, visit
 
 from sklearn_vbjfa import RigidBodyFeatures

@@ -3,14 +3,8 @@
 The same faults are put into measured recordings if these are available.
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-
 from _undeclared import simulate
 
 from sklearn_vbjfa import datasets

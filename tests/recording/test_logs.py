@@ -434,8 +434,11 @@ def _as_scaled_codes(columns):
     return columns | {"tau1": _as_12_bit_codes(columns)["tau1"] / 10}
 
 
-@pytest.mark.parametrize("late", [(0.002,), (0.005,), (0.002, 0.005)])
-def test_rows_of_robots_in_turn_are_refused_with_any_stamps(tmp_path, late):
+@pytest.mark.parametrize(
+    ("late", "dt"),
+    [((0.002,), None), ((0.005,), None), ((0.002, 0.005), None), ((0.0,), 0.01)],
+)
+def test_rows_of_robots_in_turn_are_refused_with_any_stamps(tmp_path, late, dt):
     columns = table(n=400)
     others = [columns | {"t": columns["t"] + x} for x in late]
     for k, other in enumerate(others):
@@ -445,7 +448,7 @@ def test_rows_of_robots_in_turn_are_refused_with_any_stamps(tmp_path, late):
     }
     rows = {name: values.ravel() for name, values in rows.items()}
     with pytest.raises(ValueError, match="rows of several robots in turn"):
-        read_recording(write(tmp_path / "arm.csv", rows))
+        read_recording(write(tmp_path / "arm.csv", rows), dt=dt)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa.physical import min_eigenvalue
 from sklearn_vbjfa.robot import to_mjcf
+from sklearn_vbjfa.robot._exports import without_place
 from tests.model._mujoco import drive_torques, moving_states
 from tests.model._robots import random_tree
 from tests.model.test_mjcf import assert_same, rigid
@@ -57,6 +58,15 @@ def test_all_that_mjcf_can_hold_is_exact(tmp_path):
     assert to_mjcf(path, robot, min_eigenvalue(robot.bodies)) == ()
     states = moving_states(np.random.default_rng(5), 200, robot.n_joints)
     assert_same(drive_torques(path, states), torques(robot, states))
+
+
+def test_what_a_file_lacks_on_several_joints_changes_its_motion():
+    class OnBoth(effects.OnAllJoints):
+        coefficients = ("k",)
+
+    assert without_place(OnBoth(), np.ones(1)) == [1.0]
+    # No simulation has it, of the robot or of the file.
+    assert without_place(effects.Elastic(), np.ones(1)) == [0.0]
 
 
 @pytest.fixture(scope="module")

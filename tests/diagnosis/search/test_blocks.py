@@ -36,6 +36,15 @@ def test_blocks_and_folds_partition_the_rows(lengths, correlation):
     assert blocks.length == pytest.approx(total / blocks.n_blocks)
 
 
+def test_long_correlation_reduces_the_number_of_blocks():
+    many, some, few = (
+        blocks_of([4000], correlation).n_blocks for correlation in (0.01, 0.4, 1e3)
+    )
+    assert many == 60
+    assert some == 49
+    assert few == 40
+
+
 def test_no_block_is_shorter_than_the_filter():
     blocks = blocks_of([600], filter_length=2.0)
     assert blocks.length >= 2.0

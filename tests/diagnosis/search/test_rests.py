@@ -1,13 +1,7 @@
 """Torque of joints at rest, which only friction with memory predicts."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
-
 from bench_friction_memory import DT as STEP
 from bench_friction_memory import record
 

@@ -40,7 +40,7 @@ for effect in search.effects_:
 # Export
 # ------
 # MuJoCo has bodies, damping, dry friction and rotor inertia. Load-dependent friction
-# has no counterpart: ``to_mjcf`` fits friction and armature of the file to it, and
+# has no counterpart: ``to_mjcf`` fits the friction of the file to it, and
 # lists it in the file. It warns if the simulated motion still differs by more than 2 %.
 # The declared model exports completely: its Coulomb friction approximates the missing
 # effect.

@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import ndtri
 
 # Usual factor between gains if the channels are scaled to equal size. A gain is known
 # if its 90 % interval is narrower than this factor.
 LIMIT = 5.0
 # Half width of a 90 % interval in standard deviations.
-HALF_WIDTH = 1.645
+HALF_WIDTH = float(ndtri(0.95))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -156,7 +156,7 @@ class _Account:
             return
         fitted = self._added[effect.joint].any()
         if fitted and without_place(effect, np.asarray(coef)).any():
-            reason = f"{reason} (friction and armature of the file are fitted to it)"
+            reason = f"{reason} (friction of the file is fitted to it)"
         self.left.append(LeftOut.of(effect, self.robot.joint_names, reason))
 
     def total(self, name):
@@ -238,6 +238,7 @@ def _mjcf_dynamics(account, servo):
 
 # Joint attributes of MJCF, by the names of declared friction.
 TERMS = ("coulomb", "viscous", "rotor_inertia")
+_FITTED = TERMS[:2]
 # Rows of the motion, relative frequencies of its sines, and the share of a joint's top
 # speed below which its dry friction is indeterminate.
 _ROWS, _FREQUENCIES, _REST = 6000, (0.35, 0.7, 1.0, 1.6), 0.02
@@ -287,19 +288,23 @@ def typical_motion(ranges, nv, dt):
 
 
 def refitted(robot, totals):
-    """Fit `TERMS` of a file to the effects that it leaves out, changes (nv, 3)."""
-    # totals (nv, 3): of `TERMS` in the file, which change by a factor of two at most: a
-    # joint without armature would be a different plant for a controller. Torques by
-    # other joints are not fitted.
+    """Fit friction of a file to the effects that it leaves out, changes (nv, 3)."""
+    # totals (nv, 3): of `TERMS` in the file. Friction changes by a factor of two at most,
+    # and armature never: what the motion happens to correlate with its acceleration
+    # would make a different plant for a controller. Torques by other joints are not
+    # fitted.
     nv, added = len(totals), np.zeros(totals.shape)
     free = _without_log(robot)
     left = [without_place(*x) for x in zip(free.effects_, free.split(free.theta_))]
     if not _is_known(robot) or not any(coef.any() for coef in left):
         return added
     states, moves = typical_motion(robot.effect_ranges_, nv, robot.plan.dt)
+    # There and back, so that torques by position alone change no friction.
+    back = states[::-1] * np.repeat([1, -1, 1], nv)
+    states = np.vstack([states, back])
     v, a = states[:, nv : 2 * nv], states[:, 2 * nv :]
     plain = {"coulomb": np.sign(v), "viscous": v, "rotor_inertia": a}
-    lacking = np.zeros((_ROWS, nv))
+    lacking = np.zeros(v.shape)
     inputs = free.prepare(states)
     (rows,) = free.regressors(inputs.recording, inputs.states, inputs.rest)
     for (effect, columns), coef in zip(rows.columns, left):
@@ -310,13 +315,14 @@ def refitted(robot, totals):
                 lacking[:, j] -= plain[name][:, j] * effect.in_file(coef).sum()
     for j in np.flatnonzero(moves & lacking.any(axis=0)):
         rows = np.abs(v[:, j]) > _REST * np.abs(v[:, j]).max()
-        X = np.column_stack([plain[name][rows, j] for name in TERMS])
+        X = np.column_stack([plain[name][rows, j] for name in _FITTED])
         size, y = np.sqrt((X**2).mean(axis=0)), lacking[rows, j]
-        least, most = (_FACTORS - 1.0)[:, None] * np.maximum(totals[j], 0.0)
+        total = np.maximum(totals[j, : len(_FITTED)], 0.0)
+        least, most = (_FACTORS - 1.0)[:, None] * total
         ends = least * size - _ROUNDING, most * size + _ROUNDING
         change = np.clip(lsq_linear(X / size, y, ends).x / size, least, most)
         if ((y - X @ change) ** 2).sum() < (y**2).sum():
-            added[j] = change
+            added[j, : len(_FITTED)] = change
     return added
 
 

@@ -31,7 +31,7 @@ _PERIOD = 2 * np.pi
 
 def _bracket(effect, name, motion):
     """Return a shape parameter, its neighbours on the grid, and the grid's ends."""
-    # None without neighbours. Positive parameters as logarithms, except angles.
+    # None without neighbours. Logarithms of sizes, except angles.
     value, continuous = getattr(effect, name), {*effect.continuous}
     grid = np.unique(
         [
@@ -45,10 +45,9 @@ def _bracket(effect, name, motion):
         ends = -np.inf, np.inf
     else:
         grid = grid[np.sign(grid) == np.sign(value)]
-        if grid.size < 2:
+        if grid.size < 2 or value == 0:
             return None
-        if value > 0:
-            value, grid = np.log(value), np.log(grid)
+        value, grid = np.log(abs(value)), np.sort(np.log(np.abs(grid)))
         ends = grid[0], grid[-1]
     nearest = int(np.argmin(np.abs(grid - value)))
     return (
@@ -103,7 +102,7 @@ class ShapePoint:
             if name in self.effect.cyclic:
                 shape[name] = u % _PERIOD
             else:
-                shape[name] = math.exp(u) if getattr(self.effect, name) > 0 else u
+                shape[name] = math.copysign(math.exp(u), getattr(self.effect, name))
         return clone(self.effect).set_params(**shape)
 
     def around(self):

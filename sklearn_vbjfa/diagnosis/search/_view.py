@@ -245,11 +245,12 @@ class RecordingView:
             self.repeats = max(self.index.size * self.step / once, 1.0)
 
     def _content_order(self):
-        """Sort the parts by content, so that folds do not depend on their order."""
+        """Sort the parts by content: folds depend on no order and no sign of an axis."""
         keys = []
         for start, end in itertools.pairwise([*self.starts, self.index.size]):
             rows = self.index[[start, (start + end) // 2, end - 1]]
-            keys.append((end - start, *self.states[rows, : self.nv].round(6).ravel()))
+            sizes = np.abs(self.states[rows, : self.nv]).sum(axis=1)
+            keys.append((end - start, *sizes.round(6)))
         return sorted(range(len(keys)), key=keys.__getitem__)
 
     def _set_coordinates(self):

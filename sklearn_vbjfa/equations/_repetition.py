@@ -41,7 +41,9 @@ class Repetition:
         phase = t - self.begins[recording] + self.delay[recording]
         period = self.period[motion]
         finite = np.isfinite(period)
-        phase[finite] %= period[finite]
+        # Rounded: a row at the end of a period belongs to the next one.
+        phase[finite] = np.round(phase[finite] % period[finite], 9)
+        phase[finite] %= np.round(period[finite], 9)
         return motion, phase
 
 

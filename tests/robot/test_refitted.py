@@ -63,6 +63,7 @@ def test_refitted_terms_change_at_most_by_a_factor_of_two(robot):
     assert (file[[1, 2]] != totals[[1, 2]]).any()
     assert (0.5 * totals <= file).all()
     assert (file <= 2 * totals).all()
+    np.testing.assert_array_equal(file[:, 2], totals[:, 2])
 
 
 def test_diverging_robot_is_simulated_with_feedback(robot, tmp_path):

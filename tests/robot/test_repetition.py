@@ -39,6 +39,11 @@ def test_period_and_phase_are_found():
     order = np.argsort(phase)
     assert np.abs(np.diff(q[order], axis=0)).max() < 0.1
     assert phase.max() < 8.31
+    # A row at the end of a period begins the next one in spite of rounding.
+    for period in (8.3, np.nextafter(8.3, 9)):
+        repetition.period[0] = period
+        _, phase = repetition.phase(np.zeros(4, int), 8.3 * np.arange(4))
+        np.testing.assert_array_equal(phase, 0.0)
 
 
 @pytest.mark.parametrize("dt", [0.001, 0.01, 0.04])

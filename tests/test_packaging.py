@@ -168,7 +168,6 @@ def test_source_distribution_builds_the_same_wheel(sdist, tmp_path):
 
 @pytest.mark.slow
 def test_every_public_name_has_a_type(tmp_path):
-    """Check the types that ``py.typed`` promises with mypy."""
     names = [(m.__name__, name) for m in PUBLIC_MODULES for name in m.__all__]
     lines = [
         f"from {module} import {name} as n{k}" for k, (module, name) in enumerate(names)

@@ -21,7 +21,6 @@ def test_two_coefficients_by_quadrature(mean, correlation):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_nine_elements_by_a_million_draws(seed):
-    """Posteriors of similar columns."""
     rng = np.random.default_rng(seed)
     columns = np.tril(np.ones((9, 9)))
     covariance = np.linalg.inv(5.0 * columns.T @ columns + np.eye(9))

@@ -27,7 +27,6 @@ def test_torques_are_inverse_dynamics_plus_friction():
 
 
 def test_limits_of_zero_are_no_limits():
-    """A URDF without limits is read so."""
     model = pin.buildModelFromUrdf(make_robot_recording(duration=1.0).urdf)
     for name in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit"):
         setattr(model, name, np.zeros(model.nv))

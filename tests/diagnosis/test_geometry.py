@@ -133,7 +133,6 @@ def test_no_corrections_without_faults():
 
 @pytest.mark.slow
 def test_a_declared_tilt_is_estimated_by_the_identifier():
-    """The search adds a second correction."""
     truth = [BaseTilt(0, 0.07, -0.04), JointZero(1, 0.06)]
     loop = discover(truth, declared=[BaseTilt()])
     assert named(loop) == [("joint_zero", 1)]

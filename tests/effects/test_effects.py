@@ -331,7 +331,6 @@ def test_play_operator_on_random_walks(q, width):
 
 
 def test_elastic_columns_are_the_derivatives_by_the_compliance():
-    """Compare with the analytic derivatives of inverse dynamics."""
     import pinocchio as pin
 
     model = arm("ZYX")

@@ -74,7 +74,6 @@ def standard(X, y, psi, cross):
 
 
 def test_fit_is_the_fixed_point_of_literal_updates():
-    """Compare with the solution of plain updates, row by row."""
     X, y, psi, cross = standard(*problem())
     noise = {"input_noise": psi, "input_output_noise": cross}
     found = model(**noise).fit(X, y)
@@ -143,7 +142,6 @@ def test_relevant_inputs_are_found_with_common_noise():
     ],
 )
 def test_invalid_covariances_are_refused(settings, text):
-    """Covariances of wrong size, or of inputs without noise."""
     X, y, psi, cross = problem()
     noise = {"input_noise": psi, "input_output_noise": cross} | settings
     if noise.get("latent") == "independent":

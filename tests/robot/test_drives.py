@@ -151,7 +151,6 @@ def test_estimated_velocities_have_the_lag_of_recorded_ones():
 
 @pytest.mark.parametrize("delay", [-0.004, 0.0, 0.0072, 0.03])
 def test_delay_is_estimated(delay):
-    """Delays between samples, including negative ones."""
     robot = identify(record(delay))
     k = robot.parameter_names_.index("drive:delay")
     assert robot.theta_[k] == pytest.approx(delay, abs=1e-5)

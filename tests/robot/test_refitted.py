@@ -95,7 +95,6 @@ def test_small_omissions_give_no_warning(robot, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:The simulated robot leaves")
 def test_changed_motion_matches_simulations(robot):
-    """Compare with `simulate` of two robots under the torques of the first."""
     plain = with_sizes(robot, 0.0, 0.0)
     change = changed_motion(robot, robot.torque_model(), plain.torque_model())
     states, _ = typical_motion(robot.effect_ranges_, 6, robot.dt)

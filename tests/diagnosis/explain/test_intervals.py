@@ -142,7 +142,6 @@ def loop_on(model, states, tau, effects=("spring",)):
 
 @pytest.mark.slow
 def test_half_widths_match_least_squares():
-    """Compare with least squares for noise-free states and white residuals."""
     ratios = []
     for seed in range(6):
         model, states, tau, columns = pendulum(seed)

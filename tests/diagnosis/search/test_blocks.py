@@ -52,7 +52,5 @@ def test_no_block_is_shorter_than_the_filter():
 
 
 def test_too_short_recordings_are_rejected():
-    with pytest.raises(ValueError, match=r"4\.95 s .* 12 blocks"):
-        blocks_of([100], filter_length=1.0)
-    with pytest.raises(ValueError, match="at least 12 s"):
+    with pytest.raises(ValueError, match=r"4\.95 s .* 12 blocks.* at least 12 s"):
         blocks_of([100], filter_length=1.0)

@@ -117,7 +117,6 @@ def test_friction_fixed_at_zero_is_fixed_in_each_fold():
 
 
 def test_folds_can_be_passed():
-    """Pass the folds of the blocks explicitly."""
     fit = fit_three()
     view = fit.problem.view
     cv = HeldOutFit(HeldOut(view, view.blocks.fold), fit)

@@ -35,7 +35,6 @@ def refine(start, evidence, motion):
 
 @pytest.mark.parametrize("name", ["stribeck", "ripple"])
 def test_shapes_are_refined_between_grid_points(name):
-    """For one parameter, and for two of which one is a period."""
     kind = {"stribeck": effects.Stribeck, "ripple": effects.Ripple}[name]
     (shape, value) = {"stribeck": ("vs", 0.31), "ripple": ("period", 0.23)}[name]
     truth = kind(1, **{shape: value})

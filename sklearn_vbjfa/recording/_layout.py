@@ -284,10 +284,17 @@ def _assign_columns(table, options, robot):
     if table.nameless:
         n = len(robot.names) or 6
         q, tau = (f"{k}-{k + n - 1}" if n > 1 else str(k) for k in (2, 2 + n))
-        raise RecordingRefused(
-            f"{table.path}: has no names of columns; give the places of its "
-            f'{table.frame.shape[1]} columns, such as columns="t=1,q={q},tau={tau}".'
+        width = table.frame.shape[1]
+        remedy = (
+            f"give the places of its {width} columns, such as "
+            f'columns="t=1,q={q},tau={tau}"'
         )
+        if width < 2 * len(robot.names):
+            remedy = (
+                f"its {width} columns are too few for positions and torques of {n} "
+                "joints: write all that was measured at one time into one row"
+            )
+        raise RecordingRefused(f"{table.path}: has no names of columns; {remedy}.")
     if table.joints:
         return replace(named, certain=True)
     if options.preset is None and named.kinds & set(options.kinds[:2]):

@@ -103,7 +103,8 @@ TABLE = (
     # Only a warning: another mounting or tool has the same effect on the torques.
     Hypothesis("position_zero", "warning", partial(positions.zeros, few=True),
                when="poor", surpasses="invented springs"),
-    Hypothesis("wrong_dt", "error", positions.periods, surpasses="invented one_joint"),
+    Hypothesis("wrong_dt", "error", positions.periods,
+               surpasses="invented load_friction one_joint"),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs, "measured"),
     Hypothesis("torque_unit", "warning", torques.common_scale, surpasses="loaded"),

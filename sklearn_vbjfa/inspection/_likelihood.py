@@ -206,9 +206,22 @@ class DescribedRobot:
         fits = [self.fit(columns=columns * x, deviation=1.0).evidence for x in one]
         return max(0.0, max(fits) - self.baseline.evidence)
 
+    @functools.cached_property
+    def load_friction(self):
+        """Log odds of load-dependent friction in all joints, against none."""
+        sizes = np.abs(self.described) * self.signals.sign
+        columns = sizes[:, :, None] * np.eye(self.bodies.nv)
+        fit = self.fit(columns=columns, deviation=number.LOSS)
+        return fit.evidence - self.baseline.evidence
+
+    @property
+    def unmodelled(self):
+        """Log odds of invented inertias, springs or load-dependent friction."""
+        return max(self.invented, self.springs, self.load_friction)
+
     def surpasses(self, log_odds):
-        """Whether log odds far exceed those of invented inertias and of springs."""
-        return log_odds > max(self.invented, self.springs) + number.FAR_ODDS
+        """Whether log odds far exceed those of what a description may lack."""
+        return log_odds > self.unmodelled + number.FAR_ODDS
 
     @property
     def sizes(self):

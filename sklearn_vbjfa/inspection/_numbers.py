@@ -66,8 +66,10 @@ DRY_STARTS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, np.inf)
 # Largest number of entries of all regressors; least and largest number of rows.
 MOST_ENTRIES, LEAST_ROWS, MOST_ROWS = 2_000_000, 200, 600
 # Prior relative error of the described bodies, its factor if they are invented; prior
-# deviations of friction, and of offsets between recordings; most of these; of factors.
+# deviations of friction, and of offsets between recordings; most of these; of factors;
+# of load-dependent friction.
 NOMINAL_ERROR, INVENTED, WIDE, OFFSETS, MANY, FACTOR = 0.5, 8.0, 10.0, 0.3, 20, 1e3
+LOSS = 0.2
 # Largest cost of negative friction per joint [log], as controllers may compensate it;
 # iterations and changes that end them: of noise variances, and of factors [log].
 FRICTION, ITERATIONS, CONVERGED, PASSES, SETTLED = 15.0, 20, 1e-2, 6, 0.05

@@ -367,10 +367,10 @@ def gear_factor(reading):
     best = most_probable(found)
     if best is None:
         return None
-    # Other masses, springs, or wrong gains of torques may have the same effect.
+    # Other masses, springs, losses, or wrong gains of torques may have the same effect.
     pair, gains = (robot, reading.robot_after(best.change)), np.eye(reading.nv)
     fits = [x.fit(columns=x.described[:, :, None] * gains, deviation=1.0) for x in pair]
-    odds = best.log_odds - max(robot.invented, robot.springs)
+    odds = best.log_odds - robot.unmodelled
     odds = min(odds, fits[1].evidence - fits[0].evidence)
     explains_all = pair[1].baseline.loss.max() < 2 * np.log(number.SAME)
     certain = sum((odds > number.FAR_ODDS, best.clear, explains_all)) > 1

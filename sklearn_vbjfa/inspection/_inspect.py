@@ -102,7 +102,7 @@ TABLE = (
     Hypothesis("coupled_position", "error", positions.coupled_axes, "several", "poor"),
     # Only a warning: another mounting or tool has the same effect on the torques.
     Hypothesis("position_zero", "warning", partial(positions.zeros, few=True),
-               when="poor", surpasses="invented springs"),
+               when="poor", surpasses="invented springs load_friction"),
     Hypothesis("wrong_dt", "error", positions.periods,
                surpasses="invented load_friction one_joint"),
     # -- torques
@@ -118,11 +118,11 @@ TABLE = (
     Hypothesis("no_gravity", "error", scene.weightless, "weighs"),
     Hypothesis("gravity_only", "error", scene.gravity_only, "weighs moves"),
     Hypothesis("no_gravity", "error", torques.missing_weight, "weighs",
-               prior=2 * number.PRIOR, surpasses="springs one_joint"),
+               prior=2 * number.PRIOR, surpasses="springs load_friction one_joint"),
     Hypothesis("weight_factor", "error", scene.weight_factor, "weighs moves",
                prior=2 * number.PRIOR, surpasses="loaded springs one_joint"),
     Hypothesis("base_orientation", "error", scene.base_orientation, "weighs",
-               surpasses="one_joint"),
+               surpasses="load_friction one_joint"),
     Hypothesis("external_force", "warning", scene.external_force, "moves", "poor"),
     Hypothesis("delay", "note", scene.large_lag, "moves", "poor"),
     Hypothesis("delay", "note", scene.torque_lag, "moves", "last"),

@@ -8,7 +8,7 @@ import pytest
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa.datasets import make_robot_recording
 
-pytest.importorskip("pinocchio")
+pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.inspection import ChannelFinding, inspect_channels, inspect_recording
 from tests._quick import one_in
@@ -65,6 +65,19 @@ def test_simulated_recordings_have_no_findings(seed):
             model, recording.q[rows], recording.tau[rows], recording.dt, groups
         )
         assert findings == ()
+
+
+def test_load_friction_in_a_motion_of_one_frequency_is_no_fault():
+    """Another zero, orientation or sample period would explain it in part."""
+    model, rng = chain(("a", "RY", 0), ("b", "RY", 1)), np.random.default_rng(0)
+    angle = 1.445 * 0.01 * np.arange(3000)[:, None] + [0.0, 0.7]
+    sine, cosine = 1.2 * np.sin(angle), 1.2 * np.cos(angle)
+    q, v, a = sine, 1.445 * cosine, -(1.445**2) * sine
+    load = np.array([pin.rnea(model, model.createData(), *x) for x in zip(q, v, a)])
+    tau = load + (1.0 + 0.25 * np.abs(load)) * np.tanh(v / 0.002) + 3 * v + 0.4 * a
+    tau += 0.02 * tau.std(axis=0) * rng.normal(size=q.shape)
+    q = q + 2e-5 * rng.normal(size=q.shape)
+    assert {x.severity for x in inspect_channels(model, q, tau, 0.01)} <= {"note"}
 
 
 @pytest.mark.slow

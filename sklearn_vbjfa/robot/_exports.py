@@ -289,10 +289,9 @@ def typical_motion(ranges, nv, dt):
 
 def refitted(robot, totals):
     """Fit friction of a file to the effects that it leaves out, changes (nv, 3)."""
-    # totals (nv, 3): of `TERMS` in the file. Friction changes by a factor of two at most,
-    # and armature never: what the motion happens to correlate with its acceleration
-    # would make a different plant for a controller. Torques by other joints are not
-    # fitted.
+    # totals (nv, 3): of `TERMS` in the file. Friction changes by a factor of two at
+    # most, and armature never: what happens to correlate with the acceleration would
+    # make a different plant for a controller. Torques by other joints are not fitted.
     nv, added = len(totals), np.zeros(totals.shape)
     free = _without_log(robot)
     left = [without_place(*x) for x in zip(free.effects_, free.split(free.theta_))]

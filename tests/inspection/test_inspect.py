@@ -8,7 +8,9 @@ import pytest
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa.datasets import make_robot_recording
 
-pin = pytest.importorskip("pinocchio")
+pytest.importorskip("pinocchio")
+
+import pinocchio as pin
 
 from sklearn_vbjfa.inspection import ChannelFinding, inspect_channels, inspect_recording
 from tests._quick import one_in

@@ -59,8 +59,9 @@ class StepwiseSearch:
 
     def fit_declared(self):
         """Fit the declared columns alone, with the load of the robot's own fit."""
-        fit, robot = fit_uniform(Problem(self.view), self.view.precision), self.view.robot
-        motion = self.view.motion_of(robot.linear_part(robot.theta_))
+        view, robot = self.view, self.view.robot
+        fit = fit_uniform(Problem(view), view.precision)
+        motion = view.motion_of(robot.linear_part(robot.theta_))
         return Fit(fit.base.on(fit.problem.changed(motion=motion)))
 
     def run(self):

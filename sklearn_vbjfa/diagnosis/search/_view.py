@@ -245,7 +245,7 @@ class RecordingView:
             self.repeats = max(self.index.size * self.step / once, 1.0)
 
     def _content_order(self):
-        """Sort the parts by content: folds depend on no order and no sign of an axis."""
+        """Sort the parts by content, for folds without regard to order and signs."""
         keys = []
         for start, end in itertools.pairwise([*self.starts, self.index.size]):
             rows = self.index[[start, (start + end) // 2, end - 1]]

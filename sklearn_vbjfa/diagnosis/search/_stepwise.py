@@ -58,11 +58,10 @@ class StepwiseSearch:
     # -- search -----------------------------------------------------------------------
 
     def fit_declared(self):
-        """Fit the declared columns alone, with the load of the robot's own fit."""
-        view, robot = self.view, self.view.robot
-        fit = fit_uniform(Problem(view), view.precision)
-        motion = view.motion_of(robot.linear_part(robot.theta_))
-        return Fit(fit.base.on(fit.problem.changed(motion=motion)))
+        """Fit the declared columns alone, and compute the load from that fit."""
+        fit = fit_uniform(Problem(self.view), self.view.precision)
+        problem = fit.problem.changed(motion=self.view.motion(fit.theta))
+        return Fit(fit.base.on(problem))
 
     def run(self):
         """Run the search and return the final `Fit`."""

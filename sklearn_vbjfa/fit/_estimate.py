@@ -53,9 +53,8 @@ class Estimate:
     # correlated in time; nan if the regressor provides none
     std: np.ndarray
     joint_weights: np.ndarray  # (nv,): of the joints' equations [1 / torque squared]
-    # (p, p), (p,): weighted normal equations, input noise subtracted, see `denoised`
+    # (p, p): weighted Gram matrix, input noise subtracted, X_t' X_t of eq. 35
     metric: np.ndarray
-    right: np.ndarray
     # of the fit; a single recording has stretches in place of blocks of time
     moments: JointMoments
     regressor: object  # None if the description is the prior
@@ -133,9 +132,10 @@ def estimate(
     # description is applied afterwards, so that least squares suffices here.
     weight = resolve_weights(joint_weights, moments)
     total, noise = moments.total(weight), moments.total_noise(weight)
-    metric, right, theta = denoised(total, noise)
+    metric = denoised(total, noise)
     covariance = None
     if described:
+        theta = scaled_eigen(metric, IDENTIFIABLE).solve(total.S_xy)
         regressor, std = None, np.full(theta.shape, np.nan)
     else:
         if regressor is None:
@@ -154,7 +154,6 @@ def estimate(
         covariance=None if covariance is None else pooled * covariance,
         joint_weights=weight,
         metric=metric,
-        right=right,
         moments=moments.in_stretches(),
         regressor=regressor,
         inflation=inflation,
@@ -172,8 +171,8 @@ def plain_estimate(moments, joint_weights, bodies):
         np.divide(_MAX_WEIGHT * moments.n, moments.yy, out=limit, where=moments.yy > 0)
         weight = np.minimum(weight, limit)
     total, noise = moments.total(weight), moments.total_noise(weight)
-    metric, right, _ = denoised(total, noise)
-    fixed = np.zeros(right.size, dtype=bool)
+    metric = denoised(total, noise)
+    right, fixed = total.S_xy, np.zeros(total.S_xy.size, dtype=bool)
     if bodies is not None:
         prior, fixed = bodies.weighted_prior, bodies.prior_std == 0
         known = np.where(fixed, bodies.centre, 0.0)
@@ -215,8 +214,9 @@ def inflated_noise(result):
 
 def apply_description(result, description, bodies):
     """Return an `Estimate` with the description as prior, or with fixed bodies."""
-    noise, method = inflated_noise(result), around if bodies == "prior" else fix_bodies
-    posterior = method(description, result.metric / noise, result.right / noise)
+    total, noise = result.moments.total(result.joint_weights), inflated_noise(result)
+    method = around if bodies == "prior" else fix_bodies
+    posterior = method(description, result.metric / noise, total.S_xy / noise)
     # The part of the variance that comes from noise is inflated per parameter.
     covariance = posterior.covariance
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
@@ -243,8 +243,8 @@ def size_of_bodies(result, description, gains):
     weight = result.joint_weights.copy()
     weight[list(gains.hidden)] = 0.0
     total, noise = result.moments.total(weight), inflated_noise(result)
-    metric, right, _ = denoised(total, result.moments.total_noise(weight))
-    return around(description, metric / noise, right / noise).common_size
+    metric = denoised(total, result.moments.total_noise(weight))
+    return around(description, metric / noise, total.S_xy / noise).common_size
 
 
 def uninflated_covariance(result):
@@ -399,21 +399,17 @@ def _read_coefficients(regressor, sample):
 
 
 def denoised(total, noise):
-    """Return X_t' X_t (eq. 35), X_t' y and coefficients, without input noise."""
-    # Directions in which the noise exceeds the rest of the inputs, as of two columns
-    # that differ by their noise only, are zero in all; noise: or None.
-    eigen = scaled_eigen(total.S_xx, IDENTIFIABLE)
+    """Subtract input noise from the Gram matrix (X_t' X_t of eq. 35), keep it psd."""
+    # Directions in which the noise exceeds the signal become zero; noise: or None.
     if noise is None:
-        return total.S_xx.copy(), total.S_xy, eigen.solve(total.S_xy)
-    white = eigen.inverse_root()
-    share, axes = np.linalg.eigh(total.n_samples * white.T @ noise @ white)
-    share, axes = share[share < 0.5], axes[:, share < 0.5]
+        return total.S_xx.copy()
+    scale = np.sqrt(np.diagonal(total.S_xx))
+    divisor = np.where(scale > 0, scale, 1.0)
+    signal = total.S_xx - total.n_samples * noise
+    root = scaled_eigen(0.5 * (signal + signal.T), 0.0, scale=divisor).root()
     # Zero columns stay exactly zero.
-    root = (axes.T @ eigen.root()) * (np.diagonal(total.S_xx) > 0)
-    inverse = white @ axes
-    product = inverse.T @ total.S_xy
-    coef = inverse @ (product / (1.0 - share))
-    return (root.T * (1.0 - share)) @ root, root.T @ product, coef
+    root *= scale > 0
+    return root.T @ root
 
 
 def _mirror(rows):

@@ -439,7 +439,7 @@ def iterate_corrections(recipe, fit, data):
     corrected = replace(result, **changes, covariance=covariance)
     fit = fit.with_estimate(corrected, identifiable_=identified, gains_=gains)
     moments, weight = values.moments, result.joint_weights
-    metric, *_ = denoised(moments.total(weight), moments.total_noise(weight))
+    metric = denoised(moments.total(weight), moments.total_noise(weight))
     full = replace(result, metric=metric, moments=moments.in_stretches())
     return replace(fit, segments=data.segments(fit.robot), full_estimate=full)
 

@@ -102,7 +102,7 @@ TABLE = (
     Hypothesis("coupled_position", "error", positions.coupled_axes, "several", "poor"),
     # Only a warning: another mounting or tool has the same effect on the torques.
     Hypothesis("position_zero", "warning", partial(positions.zeros, few=True),
-               when="poor", surpasses="invented springs load_friction"),
+               when="poor", surpasses="unmodelled"),
     Hypothesis("wrong_dt", "error", positions.periods,
                surpasses="invented load_friction one_joint"),
     # -- torques

@@ -285,14 +285,15 @@ def _assign_columns(table, options, robot):
         n = len(robot.names) or 6
         q, tau = (f"{k}-{k + n - 1}" if n > 1 else str(k) for k in (2, 2 + n))
         width = table.frame.shape[1]
-        remedy = (
-            f"give the places of its {width} columns, such as "
-            f'columns="t=1,q={q},tau={tau}"'
-        )
         if width < 2 * len(robot.names):
             remedy = (
                 f"its {width} columns are too few for positions and torques of {n} "
                 "joints: write all that was measured at one time into one row"
+            )
+        else:
+            remedy = (
+                f"give the places of its {width} columns, such as "
+                f'columns="t=1,q={q},tau={tau}"'
             )
         raise RecordingRefused(f"{table.path}: has no names of columns; {remedy}.")
     if table.joints:

@@ -662,9 +662,9 @@ class IdentifiedRobot:
         -----
         DoubtWarning
             If friction that MuJoCo lacks changes the simulated positions of a joint
-            within a second by more than 2 % of their spread, after damping,
-            frictionloss and armature were fitted again, each by a factor of at most
-            two; or if the robot itself diverges.
+            within a second by more than 2 % of their spread, after damping and
+            frictionloss were fitted again, each by a factor of at most two; or if the
+            robot itself diverges.
         """
         robot, which = self._sampled(sample, random_state)
         model = robot.torque_model()

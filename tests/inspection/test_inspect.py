@@ -10,10 +10,9 @@ from sklearn_vbjfa.datasets import make_robot_recording
 
 pytest.importorskip("pinocchio")
 
-import pinocchio as pin
-
 from sklearn_vbjfa.inspection import ChannelFinding, inspect_channels, inspect_recording
 from tests._quick import one_in
+from tests.effects._arms import inverse_dynamics
 from tests.inspection.test_hypotheses import chain
 
 # Documented properties of the measured sets: the currents of the last three joints of
@@ -75,11 +74,11 @@ def test_load_friction_in_a_motion_of_one_frequency_is_no_fault():
     angle = 1.445 * 0.01 * np.arange(3000)[:, None] + [0.0, 0.7]
     sine, cosine = 1.2 * np.sin(angle), 1.2 * np.cos(angle)
     q, v, a = sine, 1.445 * cosine, -(1.445**2) * sine
-    load = np.array([pin.rnea(model, model.createData(), *x) for x in zip(q, v, a)])
+    load = inverse_dynamics(model, np.hstack([q, v, a]))
     tau = load + (1.0 + 0.25 * np.abs(load)) * np.tanh(v / 0.002) + 3 * v + 0.4 * a
     tau += 0.02 * tau.std(axis=0) * rng.normal(size=q.shape)
-    q = q + 2e-5 * rng.normal(size=q.shape)
-    assert {x.severity for x in inspect_channels(model, q, tau, 0.01)} <= {"note"}
+    findings = inspect_channels(model, q + 2e-5 * rng.normal(size=q.shape), tau, 0.01)
+    assert {finding.severity for finding in findings} <= {"note"}
 
 
 @pytest.mark.slow

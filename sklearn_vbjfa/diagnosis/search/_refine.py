@@ -45,7 +45,7 @@ def _bracket(effect, name, motion):
         ends = -np.inf, np.inf
     else:
         grid = grid[np.sign(grid) == np.sign(value)]
-        if grid.size < 2 or value == 0:
+        if grid.size < 2:
             return None
         value, grid = np.log(abs(value)), np.sort(np.log(np.abs(grid)))
         ends = grid[0], grid[-1]
